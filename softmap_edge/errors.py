@@ -1,9 +1,9 @@
-"""The family of errors that this package raises: what was wrong, what is allowed, what to do."""
+"""The errors of this package; each message states the fault, what is allowed, and the remedy."""
 
 from collections.abc import Iterable, Mapping
 
-_LEAST, _MOST = 6, 17  # digits of a time that are printed
-_NEAR = 0.05  # of the smallest difference: how far a text may be off
+_LEAST, _MOST = 6, 17  # printed digits of a time
+_NEAR = 0.05  # of the smallest difference: rounding error of a printed time
 
 
 class SoftmapError(Exception):
@@ -15,9 +15,9 @@ class RunError(SoftmapError):
 
 
 class RecordingWarning(SoftmapError, UserWarning):
-    """A recording is damaged or was cut short; its sound part is read.
+    """A recording is damaged or truncated; its intact part is read.
 
-    `warnings.simplefilter("error", RecordingWarning)` refuses such recordings instead.
+    `warnings.simplefilter("error", RecordingWarning)` rejects such recordings instead.
     """
 
 
@@ -30,7 +30,7 @@ class SweepError(SoftmapError):
 
 
 class EffectError(SoftmapError):
-    """A user's own effect cannot be loaded, or fails."""
+    """A user-defined effect cannot be loaded, or fails."""
 
 
 class ComparisonError(SoftmapError):
@@ -38,15 +38,15 @@ class ComparisonError(SoftmapError):
 
 
 class AlignError(SoftmapError):
-    """The frame of a run cannot be found from what it shows."""
+    """The frame of a run cannot be determined from its data."""
 
 
 class CalibrationError(SoftmapError):
-    """The ticks of servos cannot be turned into commands, or a calibration is damaged."""
+    """Servo ticks cannot be converted to commands, or a calibration is damaged."""
 
 
 class RegistrationError(SoftmapError):
-    """A cloud cannot be read, or is no cloud of the finger that it is registered to."""
+    """A cloud cannot be read, or does not show the finger it is registered to."""
 
 
 class ReportError(SoftmapError):
@@ -58,23 +58,23 @@ class FingerError(SoftmapError):
 
 
 class RobotError(SoftmapError):
-    """The description of a tendon robot cannot be read, or a run is not one of that robot."""
+    """The description of a tendon robot cannot be read, or a run belongs to another robot."""
 
 
 class SimulationError(SoftmapError):
-    """A simulation was asked for something impossible."""
+    """The requested simulation is impossible."""
 
 
 class NoEquilibriumError(SimulationError):
-    """The simulator found no equilibrium; the message says where, how far off, and what to try."""
+    """The simulator found no equilibrium; the message states where, the residual, and a remedy."""
 
 
 class ServoError(SoftmapError):
-    """A servo or its port does not do what was asked."""
+    """A servo or its port does not carry out a request."""
 
 
 class RecordingBroken(ServoError):
-    """A recording ended before the robot stopped (a full disk, for example); its start is kept."""
+    """A recording ended before the robot stopped, for example on a full disk; its start is kept."""
 
 
 class SessionWarning(UserWarning):
@@ -82,16 +82,16 @@ class SessionWarning(UserWarning):
 
 
 class NoAnswer(ServoError):
-    """A servo that was asked does not answer: it may not be there, or one packet was lost.
+    """A servo does not answer: it may be absent, or a packet was lost.
 
-    `why` is the diagnosis where one was made: it takes seconds, and is made once.
+    `why` is the diagnosis, if one was made; it takes seconds and is made once.
     """
 
     why: str = ""
 
 
 class GuardStopped(ServoError):
-    """The guard ended a drive; `cause` is its name for why."""
+    """The guard ended a drive; `cause` is the guard's name for the reason."""
 
     cause: str = ""
 
@@ -104,18 +104,18 @@ class GuardStopped(ServoError):
 
 
 class PortLost(ServoError):
-    """A port that was open is gone, closed or failed: no servo behind it can be asked."""
+    """An open port is gone, closed or failed, so no servo behind it can be reached."""
 
 
 class NoSuchRate(ServoError):
-    """A port cannot be set to a baud rate."""
+    """A port does not support a baud rate."""
 
 
 class LimitError(ServoError):
-    """A limit that the guard refuses.
+    """A limit that the guard rejects.
 
-    `.name` is its name in the table of limits, `.servo` its place among the servos (from 0), None
-    for the robot's own.
+    `.name` is its name in the table of limits; `.servo` is the index of the servo (from 0), None
+    for a limit of the robot.
     """
 
     def __init__(self, text: str, name: str, servo: int | None) -> None:
@@ -124,7 +124,7 @@ class LimitError(ServoError):
 
 
 class TeleopError(SoftmapError):
-    """Camera, hand or landmarks cannot be had, or what teleoperation needs is not installed."""
+    """Camera, hand or landmarks are unavailable, or a package of teleoperation is absent."""
 
 
 class LinkError(SoftmapError):
@@ -132,7 +132,7 @@ class LinkError(SoftmapError):
 
 
 class CoreError(SoftmapError, ValueError):
-    """The compiled core was asked for something impossible."""
+    """The request to the compiled core is impossible."""
 
 
 def no_name(
@@ -146,7 +146,7 @@ def no_name(
 
     Args:
         what: kind of the name, such as "effect".
-        name: as it was given.
+        name: the given name.
         known: the names that exist.
         most: how many of them are listed; None for all.
         also: further names that are not listed, each with what is suggested for it.
@@ -162,7 +162,7 @@ def no_name(
 
 
 def nearest(name: str, known: Iterable[str], most: int = 1) -> list[str]:
-    """Return known names spelt most like `name`, the nearest first; none if none is near."""
+    """Return the known names of most similar spelling, best first; empty if none is similar."""
     from difflib import get_close_matches
 
     names = {one.lower(): one for one in known}
@@ -176,15 +176,15 @@ def no_effect(name: str, known: Iterable[str]) -> str:
 
 
 def brief(fault: BaseException) -> str:
-    """Return the message of another library's exception, as at most 160 characters of one line."""
+    """Return the message of another library's exception in one line of at most 160 characters."""
     return " ".join(str(fault).split())[:160]
 
 
 def differing_times(*times: float) -> list[str]:
-    """Return times (s) as texts, without exponents, that show how much they differ."""
+    """Return times (s) as texts without exponents, with enough digits to show differences."""
     ordered = sorted(set(times))
     gaps = [after - before for before, after in zip(ordered, ordered[1:])]
-    if not gaps and len(times) > 1:  # all digits that a clock may have
+    if not gaps and len(times) > 1:  # show all digits that a clock may have
         return [_plain(time, _MOST - 1) for time in times]
     for digits in range(_LEAST, _MOST):
         texts = [_plain(time, digits) for time in times]
@@ -196,7 +196,7 @@ def differing_times(*times: float) -> list[str]:
 
 
 def _plain(time: float, digits: int) -> str:
-    """Return a time with at most `digits` digits; those before the point are always complete."""
+    """Return a time with at most `digits` digits; digits before the point are never dropped."""
     if not 1e-6 < abs(time) < 1e15:
         return f"{time:.{digits}g}"
     text = f"{time:.{max(0, digits - len(str(int(abs(time)))))}f}"

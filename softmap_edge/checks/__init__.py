@@ -1,1 +1,1 @@
-"""Checks of data: lost points, clocks, inseparable conditions, a run of another robot."""
+"""Check data: lost points, clocks, inseparable conditions, a run of another robot."""

@@ -1,9 +1,9 @@
-"""What a run can identify and what it cannot, before any fit, and what to record to do better.
+"""Report what a run can identify before any fit, and what to record next.
 
-Each word is about one question that a diagnosis will ask, answered from the run alone: how many
-frames, is the noise known, is home visited, how does it move. Limits are those of the methods that
-ask (`noise.py`, `fit.py`) or a factor below which two things look alike; every word names its
-number. Minutes are those of the block that is missing. Units: mm, s, °C. Pinned by
+Each answer concerns one question of a diagnosis and uses the run alone: enough frames, known
+noise, visits of home, kind of motion. Limits are those of the methods behind the question
+(`noise.py`, `fit.py`), or a factor below which two causes look alike. Every answer states its
+number. Minutes are the duration of the missing block. Units: mm, s, °C. Pinned by
 tests/checks/test_advice.py.
 """
 
@@ -35,27 +35,27 @@ from softmap_edge.run.run import HOME_TICKS, Run, known
 
 Floats = NDArray[np.float64]
 
-ENOUGH_FRAMES = 60  # fewer hide small effects
-# home at the start, at the end and in between: needed to separate drift from noise
+ENOUGH_FRAMES = 60  # frames; with fewer, small effects are hidden
+# visits of home (start, end, between) needed to separate drift from noise
 ENOUGH_VISITS = 3
-MOVING = 15  # frames seen in motion, below which delays are guessed
-SLOW = 0.1  # of the range a second: a tenth of a second of delay is then a hundredth of it
-SPEEDS = 2.0  # ratio of fast to slow below which delay and play look alike
-DWELL = 5.0  # s of rest that shows creep
-# usual steps, and s, beyond which nothing was seen between two frames
+MOVING = 15  # frames in motion; with fewer, delays are a guess
+SLOW = 0.1  # of the range per second: a delay of 0.1 s is then 1 % of the range
+SPEEDS = 2.0  # ratio of fast to slow; below it delay and play look alike
+DWELL = 5.0  # s of rest needed to see creep
+# a gap between two frames: usual steps, and s
 GAP_SAMPLES, GAP_S = 10.0, 1.0
-MINORITY = 0.1  # of the frames reached from the rarer side
-TOGETHER = 0.95  # correlation from which two channels are one
-PAIRS = 4  # of such channels that are named
-DWELL_FRAMES = LONG_DWELL + 2  # in three dwells they show the noise (`noise.ENOUGH`)
-COLLINEAR = 0.02  # of their length: markers nearer to one line than this show no twist
+MINORITY = 0.1  # of the frames, approached from the rarer side
+TOGETHER = 0.95  # correlation; from here on two channels count as one
+PAIRS = 4  # pairs of such channels that are listed
+DWELL_FRAMES = LONG_DWELL + 2  # frames; three such dwells show the noise (`noise.ENOUGH`)
+COLLINEAR = 0.02  # of their length: markers closer to one line than this show no twist
 
 
 @dataclass(frozen=True)
 class Advice:
-    """An answer: `about` a question, whether the run answers it, a sentence, and the remedy if not.
+    """An answer to one question of a diagnosis, with the remedy if the run does not answer it.
 
-    `tells` is true if the run answers it.
+    `about` names the question. `tells` is true if the run answers it.
     """
 
     about: str
@@ -65,7 +65,7 @@ class Advice:
     minutes: float | None = None
 
     def to_dict(self) -> Document:
-        """Return it as plain numbers and texts."""
+        """Return the answer as plain numbers and texts."""
         return asdict(self)
 
 
@@ -73,7 +73,8 @@ def advice(run: Run, home_visits: int) -> list[Advice]:
     """Return what a run can identify and what it cannot, most important first.
 
     Args:
-        run: any run. home_visits: how often it rests at home (`summary` counts them).
+        run: any run.
+        home_visits: number of rests at home (`summary` counts them).
     """
     if run.frames == 0:
         return [
@@ -105,12 +106,12 @@ def advice(run: Run, home_visits: int) -> list[Advice]:
 
 
 def missing_data(runs: Sequence[Run], frames: int, replicates: bool) -> list[str]:
-    """Return as sentences what a diagnosis stands on that its runs do not give.
+    """Return sentences on what a diagnosis needs and its runs do not provide.
 
     Args:
-        runs: runs that are diagnosed together; what one of them shows is known.
+        runs: runs that are diagnosed together; one run that shows something is enough.
         frames: number of frames used of all runs.
-        replicates: whether the noise comes from dwells.
+        replicates: whether the noise is estimated from dwells.
     """
     words = [_enough(frames), *_drive(np.concatenate([commanded(run) for run in runs]))]
     words += [_no_time()] if any(run.timeless for run in runs) else []
@@ -128,7 +129,7 @@ def missing_data(runs: Sequence[Run], frames: int, replicates: bool) -> list[str
 def _guessed(sigma: Floats | None) -> Advice:
     """Report that the noise is a guess.
 
-    A declared `sigma` is compared with repeats (`clean.py`), and never replaces them.
+    A declared `sigma` is only compared with repeats (`clean.py`); it never replaces them.
     """
     stated = ""
     if sigma is not None:
@@ -165,9 +166,9 @@ def _enough(frames: int) -> Advice:
 
 
 def _folds(run: Run) -> Iterator[Advice]:
-    """Report blocks shorter than the gap that separates held-out frames from the others."""
+    """Report blocks shorter than the gap between held-out and fitted frames."""
     count, folds = (0, 0) if run.timeless else without_gap(run.t_seen, run.block)
-    if count > 1:  # one part of several changes the held-out error by little
+    if count > 1:  # one fold of several changes the held-out error little
         text = (
             f"how far off a model is on frames of its own kind: {count} of {folds} held-out parts "
             f"have no gap of {GAP:g} s next to them, since blocks are shorter than the gap, and "
@@ -214,7 +215,7 @@ def _home(visits: int) -> Advice:
 
 
 def home_unknown(run: Run) -> Advice | None:
-    """Return the word on commands that are not counted from home; None if 0 can be home."""
+    """Return the answer on commands not counted from home; None if 0 can be home."""
     u = commanded(run)
     if (
         not u.size
@@ -242,7 +243,7 @@ def home_unknown(run: Run) -> Advice | None:
 
 
 def reach_of(u: Floats) -> Floats:
-    """Return the least and largest command (C, 2) of commands (T, C)."""
+    """Return the smallest and largest command (C, 2) of commands (T, C)."""
     return np.stack([u.min(axis=0), u.max(axis=0)], axis=1)
 
 
@@ -385,9 +386,9 @@ def _channels(u: Floats) -> Iterator[Advice]:
 def _pairs(
     u: Floats, alive: NDArray[np.intp], grouped: set[frozenset[int]]
 ) -> list[tuple[int, int, float]]:
-    """Return pairs of channels that move together and their correlation.
+    """Return pairs of channels that move together, with their correlation.
 
-    Pairs of a group that is reported are left out.
+    Pairs within a group that is already reported are omitted.
     """
     if len(alive) < 2:
         return []
@@ -412,10 +413,10 @@ def _speed(u: Floats, state: Conditions) -> Advice:
             1.0,
         )
     span = np.ptp(u, axis=0)
-    # ranges a second
+    # ranges per second
     pace = np.abs(state.velocity[state.moving]) / np.where(span > 0, span, np.inf)
     pool = np.sort(pace[pace > STILL] if (pace > STILL).any() else pace.max(axis=1))
-    few = min(MOVING, len(pool) // 4)  # as many as that are faster, and as many slower
+    few = min(MOVING, len(pool) // 4)  # this many frames are faster, and this many slower
     slow, fast = pool[few], pool[-1 - few]
     if fast < SPEEDS * slow:
         text = (
@@ -456,7 +457,7 @@ def _dwell(state: Conditions) -> Advice:
 
 
 def _since_gap(t: Floats) -> Floats:
-    """Return the time (K,) s since the last gap in the frames; events in a gap were not seen."""
+    """Return the time (K,) s since the last gap in the frames; events in a gap are not seen."""
     if len(t) < 2:
         return np.zeros(len(t))
     step = np.diff(t)

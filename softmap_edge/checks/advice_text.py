@@ -1,4 +1,4 @@
-"""What a run can identify, and how effects would show in it: text for a terminal, 100 columns."""
+"""Text for a terminal (100 columns): what a run can identify, and how visible effects are in it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from softmap_edge.files.numbers import folded
 def advice_lines(words: list[Advice]) -> list[str]:
     """Return text for a terminal: what can be identified, what cannot, and the minutes.
 
-    What cannot be identified comes with its remedy.
+    Each item that cannot be identified is followed by its remedy.
     """
     lines = ["", "This run can identify"]
     lines += [line for word in words if word.tells for line in folded(f"+ {word.text}", 2, 2)] or [
@@ -33,7 +33,7 @@ def advice_lines(words: list[Advice]) -> list[str]:
 
 
 def effect_lines(effects: list[Document]) -> list[str]:
-    """Return for a terminal what `diagnosis.showing` found of each effect."""
+    """Return the visibility of each effect (`diagnosis.showing`) as text for a terminal."""
     lines = [
         "",
         "Effects at typical strength: how far each would move the body, and how often that is the "

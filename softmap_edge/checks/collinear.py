@@ -1,14 +1,14 @@
-"""Find conditions that cannot be separated from time or from the commands, and tied channels.
+"""Find tied channels, and conditions that cannot be separated from time or from the commands.
 
-    R² of a condition on (1, t), on (1, t, t²) where that is monotonic, on one exponential or on one
-    step: time
-    R² of a condition on a polynomial of the commands:  commands
+    time:      R² of a condition on (1, t), on (1, t, t²) if monotonic, on one exponential or on
+               one step
+    commands:  R² of a condition on a polynomial of the commands
 
-Both are adjusted for their number of columns. From CONFUSED on the run cannot separate the two. A
-condition that returns, such as a temperature that warms up and cools down, is not tested against a
+Both R² are adjusted for the number of columns. From CONFUSED on, the run cannot separate the two.
+A condition that returns, such as a temperature that rises and falls, is not tested against a
 parabola in time, because drift is monotonic. Tied channels are the null space of the standardised
 commands, split into groups that share a null vector. Units: °C, g, V, s. Limit: a condition that
-follows earlier commands (heat of the motors) is not tested. Pinned by
+depends on earlier commands (motor heating) is not tested. Pinned by
 tests/checks/test_collinear.py.
 """
 
@@ -27,12 +27,12 @@ from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]
 
-CONFUSED = 0.95  # R² from which two influences cannot be separated in this run
-TAUS = (0.1, 0.3, 1.0)  # of the duration: time constants of the exponentials that are tried
-STEPS = 60  # instants at which one step is tried
-# of the polynomial in the commands, and the channels above which it is linear with squares
+CONFUSED = 0.95  # R² from which this run cannot separate two influences
+TAUS = (0.1, 0.3, 1.0)  # of the duration: time constants of the trial exponentials
+STEPS = 60  # instants at which a step is tried
+# degree of the polynomial in the commands; with more channels than MANY it is 2
 DEGREE, MANY = 3, 3
-# °C, g, V, g: less is no change
+# °C, g, V, g: smaller changes are ignored
 LEAST = {"temperature": 0.5, "load": 0.5, "voltage": 0.1, "orientation": TURNED}
 REMEDY = {
     "temperature": {
@@ -52,22 +52,19 @@ REMEDY = {
         "commands": "repeat the same moves at each voltage",
     },
 }
-# singular value, relative to the largest of the standardised commands, below which a direction
-# never moves
+# of the largest singular value of the standardised commands: a direction below it never moves
 TIED = 0.05
-PART = 0.05  # of a null vector: a channel with less is not part of it
-NOTHING = 0.02  # of a channel's standard deviation: a sum that small is zero
-EQUAL = 0.05  # weights closer than this are equal
+PART = 0.05  # of a null vector: a channel with a smaller weight is not part of it
+NOTHING = 0.02  # of a channel's standard deviation: a smaller sum counts as zero
+EQUAL = 0.05  # weights that differ less are equal
 
 
 @dataclass(frozen=True)
 class Collinear:
     """A declared `condition` that this run cannot separate from time or the commands (`with_`).
 
-    It also has how well it fits.
-
-    `like` is the law of `with_` that the condition follows: "a line", "an exponential", "one step",
-    "a polynomial".
+    `like` is the law of `with_` that the condition follows: "a line", "an exponential", "one step"
+    or "a polynomial".
     """
 
     condition: str
@@ -77,7 +74,7 @@ class Collinear:
 
     @property
     def remedy(self) -> str:
-        """What to record to separate the two."""
+        """Return what to record to separate the two."""
         return REMEDY[self.condition][self.with_]
 
     def __str__(self) -> str:
@@ -90,10 +87,10 @@ class Collinear:
 
 @dataclass(frozen=True)
 class TiedChannels:
-    """Channels that move in fewer directions than their number: their effects cannot be separated.
+    """Channels that move in fewer directions than their number, so their effects are inseparable.
 
-    `weights` are those of the sum that stays constant, largest 1, if there is one such sum; else
-    empty. `total` is that sum, in the unit of the commands.
+    If exactly one weighted sum of them is constant, `weights` are its weights, the largest being 1;
+    else empty. `total` is the value of that sum, in the unit of the commands.
     """
 
     channels: tuple[int, ...]
@@ -103,7 +100,7 @@ class TiedChannels:
 
     @property
     def remedy(self) -> str:
-        """What to record, or what to expect."""
+        """Return what to record, or what to expect."""
         named = ", ".join(map(str, self.channels))
         return (
             f"move channels {named} each alone, or expect only their differences to be identified"
@@ -136,8 +133,8 @@ def collinear_conditions(run: Run) -> list[Collinear]:
         run: any run; only its seen frames count.
 
     Returns:
-        list: one entry for each pair, time first; empty where all conditions vary on their own or
-        not at all.
+        list: one entry for each pair, time first; empty if every condition is constant or varies
+        independently.
     """
     if run.frames < 8:
         return []
@@ -153,10 +150,7 @@ def collinear_conditions(run: Run) -> list[Collinear]:
 
 
 def tied_channels(command: Floats) -> list[TiedChannels]:
-    """Return the groups of channels of commands (T, C) that move in too few directions.
-
-    They are fewer than the channels.
-    """
+    """Return the groups of channels that move in too few directions, from commands (T, C)."""
     spread = command.std(axis=0) if len(command) else np.zeros(command.shape[1])
     alive = np.flatnonzero(spread > 1e-9 * max(float(spread.max(initial=0.0)), 1e-300))
     if len(alive) < 2:
@@ -171,9 +165,9 @@ def tied_channels(command: Floats) -> list[TiedChannels]:
 
 
 def _tie(channels: NDArray[np.intp], null: Floats, command: Floats) -> TiedChannels:
-    """Return a group of channels with its null vectors (n, m).
+    """Return a group of channels from its null vectors (n, m).
 
-    They are of the standardised commands `command` (T, m).
+    The vectors belong to the standardised commands `command` (T, m).
     """
     _, singular, vectors = np.linalg.svd(null, full_matrices=False)
     dimension = int((singular > 0.5).sum())
@@ -209,7 +203,7 @@ def _groups(projector: Floats) -> list[NDArray[np.intp]]:
 
 
 def _at_frames(run: Run, rows: Floats) -> Floats:
-    """Return rows (T, n) at the seen frames, (K, n)."""
+    """Return rows (T, n) interpolated to the seen frames, (K, n)."""
     return (
         np.stack([np.interp(run.t_seen, run.t, c) for c in rows.T], axis=1)
         if rows.shape[1]
@@ -218,7 +212,7 @@ def _at_frames(run: Run, rows: Floats) -> Floats:
 
 
 def _conditions(run: Run) -> Iterator[tuple[str, Floats]]:
-    """Yield each declared condition that changes: its name and values (K, n) at the seen frames."""
+    """Yield name and values (K, n) at the seen frames of each declared condition that changes."""
     given: dict[str, NDArray[np.generic] | None] = {
         "temperature": run.temperature,
         "orientation": run.gravity,
@@ -237,7 +231,7 @@ def _conditions(run: Run) -> Iterator[tuple[str, Floats]]:
 
 
 def _time_fits(t: Floats, values: Floats) -> Iterator[tuple[float, str]]:
-    """Yield R² and the name of each law of time for the condition (K, n)."""
+    """Yield R² and the name of each law of time for a condition (K, n)."""
     s = (t - t[0]) / max(float(t[-1] - t[0]), 1e-12)
     one = np.ones_like(s)
     yield _r2(np.stack([one, s], axis=1), values), "a line"
@@ -253,10 +247,7 @@ def _time_fits(t: Floats, values: Floats) -> Iterator[tuple[float, str]]:
 
 
 def _polynomial(command: Floats) -> Floats:
-    """Return the monomials (K, m) of commands (K, C), the constant first.
-
-    Their degree is 3, or 2 for many channels.
-    """
+    """Return the monomials (K, m) of commands (K, C), constant first, of degree 3 (2 if many)."""
     span = np.ptp(command, axis=0) if len(command) else np.zeros(command.shape[1])
     x = (
         (command - command.mean(axis=0))[:, span > 0] / np.maximum(span[span > 0], 1e-12)

@@ -1,20 +1,20 @@
-"""Compare the clocks of frames and commands: a different rate or a step, from the motion alone.
+"""Compare the clocks of frames and commands: find a rate error or a step from the motion alone.
 
     y(t) = W φ(t − d(t)) + e        d(t) = a,  a + b (t − t₀),  or  a + s [t ≥ t₁]
 
-φ are a polynomial of the commands, play and lag of several sizes, and gains and places that change
-linearly with time, so memory and drift of the robot do not count as delay. Blocks of time have a
-delay each, fitted together with W: with M = 1 − φ(φᵀφ)⁻¹φᵀ and G the slopes of each block, H δ =
-−Gᵀ M e, H = Gᵀ M G. Line and step are fitted to the blocks in the metric H, and the scatter of the
-blocks gives the uncertainty, so slow changes of the robot widen it. A change that play and lag
-explain as well is not reported (`SEPARATE`): a step where the speed of the moves changes. A rate must
-also show within halves of the run that have a delay each: memory of the robot that acts otherwise in
-another part of a protocol changes the delay between them. b is the
-rate: frames stamped by a clock that runs fast by 100 ppm come 100 µs later every second. The
+φ holds a polynomial of the commands, play and lag of several sizes, and gains and offsets that
+change linearly with time. So memory and drift of the robot do not count as delay. Each block of
+time has its own delay, fitted together with W: with M = 1 − φ(φᵀφ)⁻¹φᵀ and G the slopes of each
+block, H δ = −Gᵀ M e, H = Gᵀ M G. Line and step are fitted to the blocks in the metric H. The
+scatter of the blocks gives the uncertainty, so slow changes of the robot increase it. A change
+that play and lag explain as well is not reported (`SEPARATE`), such as a step where the speed of
+the moves changes. A rate error must also appear within halves of the run that have separate
+delays, because memory that differs between parts of a protocol changes the delay between them.
+b is the rate error: a clock that runs fast by 100 ppm stamps frames 100 µs later every second. The
 constant a is latency, or one shift of the clock, and is not reported (`clock_shift`). A log that
-stamps frames and commands in the same rows has one clock, and is not examined. Units: s, mm.
-Limits: 200 frames in 20 s, commands that explain half of the motion, and a change beyond five
-standard errors; one step. Pinned by tests/checks/test_frame_clock.py.
+stamps frames and commands in the same rows has one clock and is not examined. Units: s, mm.
+Limits: 200 frames in 20 s, commands that explain half of the motion, a change of more than five
+standard errors, one step. Pinned by tests/checks/test_frame_clock.py.
 """
 
 from __future__ import annotations
@@ -31,33 +31,33 @@ from softmap_edge.run.run import Run, known
 Floats = NDArray[np.float64]
 
 LEAST_FRAMES, LEAST_S = 200, 20.0
-SEPARATE = 0.3  # of the information on a line or step that must remain next to play and lag
-FRAMES = 2000  # at most, evenly thinned
-POINTS = 40  # of the body at most, evenly thinned
-ROWS = 3_000_000  # numbers of commands with play and lag that are held; longer runs are thinned
-COMPONENTS = 4  # of the motion of all points
-FOLLOWS = 0.5  # of the variance, that commands must explain
-SURE = 5.0  # standard errors of a rate
-WITHIN = 3.0  # of a rate within halves of the run
-STEP_SURE = 6.0  # of a step, whose place is searched for
-STEP_OVER_LINE = 20.0  # variances of a block by which a step must fit better than a line
+SEPARATE = 0.3  # of the information on a line or step that must remain after play and lag
+FRAMES = 2000  # frames at most, evenly thinned
+POINTS = 40  # points of the body at most, evenly thinned
+ROWS = 3_000_000  # numbers in the columns of play and lag; longer runs are thinned
+COMPONENTS = 4  # components of the motion of all points
+FOLLOWS = 0.5  # of the variance that commands must explain
+SURE = 5.0  # standard errors of a significant rate error
+WITHIN = 3.0  # the same within halves of the run
+STEP_SURE = 6.0  # standard errors of a significant step, whose time is searched for
+STEP_OVER_LINE = 20.0  # block variances by which a step must fit better than a line
 LEAST_CHANGE = 2e-3  # s over the run: smaller changes have no visible effect
-DELAYS = np.arange(-0.5, 1.01, 0.04)  # s that are tried
-PLAYS, LAGS = (0.05, 0.15, 0.4), (0.3, 2.0, 10.0)  # of the range of a channel, and s
+DELAYS = np.arange(-0.5, 1.01, 0.04)  # s, trial delays
+PLAYS, LAGS = (0.05, 0.15, 0.4), (0.3, 2.0, 10.0)  # of the range of a channel; s
 BLOCK_FRAMES, MOST_BLOCKS, LEAST_BLOCKS = 25, 40, 8
-MANY_CHANNELS = 3  # above which the polynomial is quadratic
+MANY_CHANNELS = 3  # channels; with more, the polynomial is quadratic
 ROUNDS = 3
-NUDGE = 5e-3  # s, for the derivative
-RARE = 3.0  # median deviations: a frame whose error is larger weighs less
+NUDGE = 5e-3  # s, step of the numerical derivative
+RARE = 3.0  # median deviations; frames with a larger error are down-weighted
 
 
 @dataclass(frozen=True)
 class FrameClock:
-    """How the clock of the frames runs against that of the commands.
+    """Rate error and step of the frames' clock against that of the commands.
 
     Attributes:
-        fast_ppm, sigma_ppm: its rate error (positive: fast) and standard error; None if the moves
-            do not show it.
+        fast_ppm, sigma_ppm: rate error (positive: fast) and its standard error; None if the moves
+            do not identify it.
         step_s, step_sigma_s, at_s: size of a forward step, its standard error, and its time; None
             without a step.
         duration_s: time span of the frames.
@@ -72,7 +72,7 @@ class FrameClock:
 
     @property
     def runs_fast(self) -> bool:
-        """Whether the rates differ significantly and by a visible amount."""
+        """Return whether the rates differ significantly and by a visible amount."""
         if self.step_s is not None or self.fast_ppm is None or self.sigma_ppm is None:
             return False
         change = 1e-6 * abs(self.fast_ppm) * self.duration_s
@@ -80,7 +80,7 @@ class FrameClock:
 
     @property
     def differs(self) -> bool:
-        """Whether the clocks differ significantly."""
+        """Return whether the clocks differ significantly."""
         return self.runs_fast or self.step_s is not None
 
     def __str__(self) -> str:
@@ -107,7 +107,7 @@ class FrameClock:
         )
 
     def to_dict(self) -> Document:
-        """Return it as plain numbers."""
+        """Return the estimate as plain numbers."""
         return {
             "fast_ppm": self.fast_ppm,
             "sigma_ppm": self.sigma_ppm,
@@ -119,7 +119,7 @@ class FrameClock:
 
 
 def frame_clock(run: Run) -> FrameClock | None:
-    """Estimate how the clock of the frames runs against that of the commands.
+    """Estimate rate error and step of the frames' clock against that of the commands.
 
     Args:
         run: a run with commands and points.
@@ -167,7 +167,7 @@ def _motion(run: Run) -> tuple[Floats, Floats] | None:
     if seen is None or given is None or run.timeless or run.channels == 0:
         return None
     if np.isin(run.t_seen, run.t).all():
-        return None  # one clock stamped both
+        return None  # both have the same clock
     if run.frames < LEAST_FRAMES or len(run.t) < 3 or not np.ptp(given, axis=0).any():
         return None
     there = known(run, seen)
@@ -195,7 +195,7 @@ def _motion(run: Run) -> tuple[Floats, Floats] | None:
 
 
 class _Memory:
-    """The commands, with play and lag of several sizes, at any times."""
+    """The commands, with play and lag of several sizes, evaluated at any time."""
 
     def __init__(self, run: Run) -> None:
         given = run.command if run.command is not None else run.ticks
@@ -228,10 +228,10 @@ class _Memory:
         return np.column_stack([np.ones(len(rows)), rows, *products, drift, drift**2, drift * u])
 
     def errors(self, t: Floats, y: Floats) -> _Fitted:
-        """Return the best map of the columns at times (K,) s onto y (K, P) mm."""
+        """Fit the columns at times (K,) s to y (K, P) mm."""
         columns = self.at(t)
         weight = np.ones((len(t), 1))
-        for _ in range(2):  # frames with gross errors weigh less
+        for _ in range(2):  # down-weight frames with gross errors
             map_ = _ridge(columns * weight, y * weight)
             error = y - columns @ map_
             size = np.linalg.norm(error, axis=1)
@@ -242,7 +242,7 @@ class _Memory:
 
 @dataclass(frozen=True)
 class _Fitted:
-    """A map of columns (K, F) to what was seen: errors and slopes over time (K, P); weighted."""
+    """A map of columns (K, F) to the motion: weighted errors and slopes over time (K, P)."""
 
     columns: Floats
     error: Floats
@@ -262,23 +262,23 @@ def _ridge(columns: Floats, y: Floats) -> Floats:
 
 
 def _constant(memory: _Memory, t: Floats, y: Floats) -> float:
-    """Return the constant delay (s) that explains most."""
+    """Return the constant delay (s) that explains the most variance."""
     some = slice(None, None, max(1, len(t) // 600))
     return float(max(DELAYS, key=lambda late: memory.errors(t[some] - late, y[some]).follows))
 
 
 @dataclass(frozen=True)
 class _Estimate:
-    """Numbers that were fitted, and how well the last of them is known."""
+    """Fitted numbers, and the uncertainty of the last one."""
 
     value: Floats
-    variance: float  # of the last one, for errors of unit variance
-    sigma: float  # standard error of the last one, from the scatter of the blocks
-    left: float  # squares of the residual
+    variance: float  # of the last number, for errors of unit variance
+    sigma: float  # standard error of the last number, from the scatter of the blocks
+    left: float  # sum of squared residuals
 
 
 class _Blocks:
-    """Delays of blocks of time, with their information H."""
+    """Delays of the blocks of time, with their information matrix H."""
 
     def __init__(self, t: Floats) -> None:
         self.count = int(np.clip(len(t) // BLOCK_FRAMES, LEAST_BLOCKS, MOST_BLOCKS))
@@ -290,12 +290,12 @@ class _Blocks:
             np.bincount(self.of, minlength=self.count), 1
         )
         self.weight: Floats = np.zeros((self.count, self.count))  # H
-        self.alone: Floats = np.zeros(self.count)  # its diagonal if the map were known
+        self.alone: Floats = np.zeros(self.count)  # diagonal of H if the map were known
         self.pull = np.zeros(self.count)  # H δ
         self.inverse = self.weight
 
     def measure(self, memory: _Memory, t: Floats, y: Floats, delay: Floats) -> None:
-        """Measure the delay of each block about one that is assumed, (K,) s."""
+        """Measure the delay of each block, linearised about an assumed delay (K,) s."""
         fitted = memory.errors(t - delay, y)
         q, _ = np.linalg.qr(fitted.columns)
         self.alone = np.asarray(
@@ -313,9 +313,9 @@ class _Blocks:
         self.inverse = np.asarray(np.linalg.pinv(self.weight, rcond=1e-6, hermitian=True), float)
 
     def fit(self, part: Floats, kind: str, pivot: float) -> _Line:
-        """Fit a first value and so much of a `part` (B,) to the delays.
+        """Fit a constant plus a multiple of `part` (B,) to the delays.
 
-        Their scatter gives the standard error.
+        The scatter of the delays gives the standard error.
         """
         ones = np.ones((self.count, 1))
         columns = ones if kind == "constant" else np.column_stack([ones, part])
@@ -332,7 +332,7 @@ class _Blocks:
         )
 
     def _fitted(self, columns: Floats) -> _Estimate:
-        """Fit numbers of `columns` (B, n) to the delays."""
+        """Fit the coefficients of `columns` (B, n) to the delays."""
         inverse = np.linalg.pinv(columns.T @ self.weight @ columns, hermitian=True)
         value = inverse @ (columns.T @ self.pull)
         left = self.pull - self.weight @ (columns @ value)
@@ -342,10 +342,10 @@ class _Blocks:
         return _Estimate(value, last, float(np.sqrt(max(spread * last, 0.0))), squares)
 
     def within_halves(self) -> tuple[float, float]:
-        """Return the slope within halves of the run, each with a first value, and its error.
+        """Return the slope within halves of the run, each with its own constant, and its error.
 
-        A robot whose memory acts otherwise in another part of a protocol changes the delay between
-        the halves, a clock with another rate within them.
+        Memory that differs between parts of a protocol changes the delay between the halves. A
+        clock with another rate changes it within them.
         """
         later = np.arange(self.count) >= self.count // 2
         part = self.t - np.where(later, self.t[later].mean(), self.t[~later].mean())
@@ -355,14 +355,14 @@ class _Blocks:
 
 @dataclass(frozen=True)
 class _Line:
-    """A course of the delay: constant, a line, or a step."""
+    """The delay over time: constant, a line, or a step."""
 
     kind: str = "constant"
-    value: tuple[float, float] = (0.0, 0.0)  # the first part, and slope or step
+    value: tuple[float, float] = (0.0, 0.0)  # the constant, and the slope or step
     sigma: float = 0.0  # of the slope or step
-    pivot: float = 0.0  # s: where the line has the first value, or where the step is
-    left: float = np.inf  # weighted squares
-    slope: float = 0.0  # of the line in any case
+    pivot: float = 0.0  # s: where the line equals the constant, or the time of the step
+    left: float = np.inf  # weighted sum of squares
+    slope: float = 0.0  # of the line, also for a step
     slope_sigma: float = np.inf
 
     def at(self, t: Floats) -> Floats:
@@ -378,7 +378,7 @@ class _Line:
 
 
 def _best(blocks: _Blocks) -> _Line:
-    """Return the time course of the delay: a step or a line only if it is significant."""
+    """Return the delay over time: a step or a line only if it is significant."""
     t = blocks.t
     middle = float(t.mean())
     flat, line = blocks.fit(t, "constant", 0.0), blocks.fit(t - middle, "line", middle)
@@ -400,7 +400,7 @@ def _best(blocks: _Blocks) -> _Line:
 
 
 def _confirmed(line: _Line, blocks: _Blocks) -> _Line:
-    """Return a line with the slope within halves, where that does not show the same rate."""
+    """Return the line, with the slope within halves where that does not confirm the rate."""
     slope, sigma = blocks.within_halves()
     if line.kind != "line" or np.sign(line.slope) * slope >= WITHIN * sigma:
         return line
@@ -417,7 +417,7 @@ def _answer(shape: _Line, t: Floats, stamps: Floats) -> FrameClock:
 
 
 def _place(shape: _Line, t: Floats) -> float:
-    """Return the time of the step: where time stamps are apart, near the place found by blocks."""
+    """Return the time of the step: the gap in the time stamps nearest to the one from blocks."""
     apart = np.diff(t) - np.median(np.diff(t))
     near = np.abs(t[1:] - shape.pivot) < 2 * (t[-1] - t[0]) / LEAST_BLOCKS
     odd = np.where(near, np.sign(shape.value[1]) * apart, -np.inf)

@@ -1,8 +1,8 @@
 """Find points that stand for "not seen" in run files of older versions or other programs.
 
-`softmap import` sets such points aside and writes the field `NOT_SEEN`, so that the search is not
-repeated. Any other run is searched in the same way (`logs/not_seen.py`, `logs/shifted.py`). Pinned
-by tests/logs/test_not_seen.py.
+`softmap import` hides such points and writes the field `NOT_SEEN`, so the search is not repeated.
+Any other run is searched in the same way (`logs/not_seen.py`, `logs/shifted.py`). Pinned by
+tests/logs/test_not_seen.py.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ def lost_points(run: Run, remedy: str = REMEDY) -> tuple[Mask, list[str]]:
     """Find the points of a run that stand for "not seen".
 
     Args:
-        run: a run of vertices, markers or outputs; other kinds of seen data are not searched.
-        remedy: the end of each sentence.
+        run: a run of vertices, markers or outputs; point clouds are not searched.
+        remedy: the last part of each sentence.
 
     Returns:
         tuple: which points (K, N), and a sentence for each place that stands for "not seen".
@@ -64,7 +64,7 @@ def lost_points(run: Run, remedy: str = REMEDY) -> tuple[Mask, list[str]]:
 def _looked_for(run: Run) -> bool:
     """Return whether an import has searched for such points, or the user keeps them.
 
-    An array does not count.
+    An array under the name of this field does not count.
     """
     return text_in(run.extra, NOT_SEEN) in WORDS
 

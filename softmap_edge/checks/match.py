@@ -1,12 +1,12 @@
 """Check that a run belongs to this model's robot: units, frame, handedness, points, clocks.
 
-The checks are gross, so that missing physics passes: each limit lies beyond the reach of any effect
-of the library, and a memory as strong as a play over most of the range is no fault
+The checks detect gross faults only, so missing physics passes. Each limit lies beyond the reach of
+any effect of the library, and a memory as strong as a play over most of the range is no fault
 (`remembered.py`). A run that fails is refused, with its numbers and the remedy. A fault that a
 diagnosis can fit passes: a base that is misaligned by 2 mm, a swapped servo, a clock 0.2 s late.
 
-    follows = 1 − Σ |(s − p) − mean|² / Σ |s − mean|²     s seen, p predicted points, means over the
-                                                          frames
+    follows = 1 − Σ |(s − p) − mean|² / Σ |s − mean|²     s measured, p predicted points, means over
+                                                          the frames
 
 Units: mm, s, deg. Limit: markers on one line have no handedness and no order. Pinned by
 tests/run/test_bad_runs.py and tests/diagnosis/test_wrongly_declared.py.
@@ -37,38 +37,37 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-FRAMES = 100  # looked at where all would take long
-LITTLE = 0.05  # of the range of the model: commands that stay within it may be in another unit
-NO_LOAD = 0.5  # g: a heaviest load below this was meant in kg
-OUT_OF_REACH = 3.0  # lengths of the body that no prediction may leave the base by
-# by which neighbouring points may come closer or part: silicone does not stretch so far
+FRAMES = 100  # frames examined where all would take too long
+LITTLE = 0.05  # of the model's range: commands that stay within it may be in another unit
+NO_LOAD = 0.5  # g: a largest load below this was meant in kg
+OUT_OF_REACH = 3.0  # body lengths: largest plausible distance from the base
+# factor by which neighbours may approach or separate: silicone does not stretch so far
 SPACING = 2.0
-# deg and body lengths: a heavy load turns the markers of a soft body by half as much
+# deg and body lengths: a heavy load turns the markers of a soft body half as far
 TURNED, SHIFTED = 60.0, 0.5
-CLAMPED = 0.15  # of the body's length from its base: there only the frame of reference moves points
-# times what is fitted as a mount, and the scatter over frames, by which such a frame is off
+CLAMPED = 0.15  # of the body's length from its base: only the frame of reference moves points there
+# a wrong frame: times the largest fitted mount, and times the scatter over frames
 FAR, STEADY = 1.5, 3.0
-BETTER = 0.5  # of the distance between seen and predicted that such a move must leave at most
-LARGER = 4.0  # times as far as the commands say, or as little: no gain is that wrong
-ALIKE = 0.8  # share of the motion that is followed where a cause is named
-# of the expected motion: in all, and along it; a play of 1.9 half ranges exceeds 0.05
+BETTER = 0.5  # of the distance between seen and predicted points that may remain after such a move
+LARGER = 4.0  # times the expected motion, or its inverse: no gain is that wrong
+ALIKE = 0.8  # share of the motion that must be explained to name a cause
+# of the expected motion, total and along it; a play of 1.9 half ranges exceeds 0.05
 STILL, ALONG = 0.08, 0.02
-MOTION = 0.04  # of the body's length: less motion (RMS) does not identify its cause
+MOTION = 0.04  # of the body's length (RMS): a smaller motion does not identify its cause
 NEARLY = 0.1  # of the motion: explained as well as by another cause
-FOLLOWED = 0.6  # share of the motion below which a run is not one of these commands
-MENDED = 0.3  # of the error that gravity the other way round must leave at most
-LATE = 2.0  # s: a delay up to here is asked of the effects
-TIMES = 1000  # at which a shift of the clocks is tried
-# of the frames at extreme commands, and at one of them, that may be clipped
+FOLLOWED = 0.6  # share of the motion; a run below it does not belong to these commands
+MENDED = 0.3  # of the error that may remain with gravity reversed
+LATE = 2.0  # s: delays up to here are left to the effects
+TIMES = 1000  # time stamps at which a clock shift is tried
+# of the frames at either extreme, and at one of them, that may be clipped; frames
 HELD, END, LEAST_HELD = 0.05, 0.02, 4
-STEP = 0.02  # of the range of a command over which slopes are taken
-GOES_ON = 0.05  # of the range, standard deviation, by which a clipped command goes on
-# times the scatter while it is not held, less what is linear in the command: else the model is that
-# wrong
+STEP = 0.02  # of the range of a command: step of the numerical slope
+GOES_ON = 0.05  # of the range: standard deviation of the continuation of a clipped command
+# times the scatter outside the hold, without its linear part; else the model is wrong there
 MORE = 1.2
-# of what a step of the command usually moves, below which a frame does not identify the command
+# of the usual effect of a command step; frames below it do not identify the command
 SEEN = 0.3
-AS_FAST = 0.4  # of that variance that is left at most where a command goes on as fast as it came
+AS_FAST = 0.4  # of the variance that may remain if the command continues at its approach speed
 
 
 def declaration_remarks(model: Model, run: Run) -> list[str]:
@@ -108,13 +107,17 @@ def declaration_remarks(model: Model, run: Run) -> list[str]:
 def check_run_matches_model(
     model: Model, run: Run, seen: Floats, visible: Mask, predicted: Floats
 ) -> list[str]:
-    """Reject a run that cannot be of this robot and these commands; return doubts about others.
+    """Reject a run that cannot belong to this robot and these commands; return remarks on others.
 
     Args:
-        model, run: as for `sound`. seen, predicted: points (K, N, 3) mm. visible: (K, N).
+        model: as for `sound`.
+        run: as for `sound`.
+        seen: measured points (K, N, 3) mm.
+        predicted: predicted points (K, N, 3) mm.
+        visible: which points were seen, (K, N).
 
     Raises:
-        RunError: what is wrong, with numbers, and what to do.
+        RunError: the fault, with its numbers and the remedy.
     """
     length = float(np.linalg.norm(model.rest, axis=1).max())
     _in_reach(model, run, predicted, length)
@@ -152,7 +155,7 @@ def check_run_matches_model(
 
 
 def followed_share(left: Floats, seen: Floats, visible: Mask) -> float:
-    """Return which share of the motion of points (K, N, 3) is not `left` (K, N, 3)."""
+    """Return the share of the motion of points (K, N, 3) that is not in the residual `left`."""
     moved = float(np.sum(centred(seen, visible) ** 2))
     return 1.0 - float(np.sum(centred(left, visible) ** 2)) / max(moved, 1e-300)
 
@@ -162,14 +165,14 @@ def not_following(
 ) -> str | None:
     """Report a robot that does not follow its commands at all.
 
-    It hardly moves, or moves as a model that does not move would.
+    It hardly moves, or its motion is unrelated to the predicted one.
 
     Args:
         seen: measured points (K, N, 3) mm.
-        visible: (K, N).
+        visible: which points were seen, (K, N).
         expected: predicted points (K, N, 3) mm.
-        fitted: points (K, N, 3) mm of the model with what was found, which may be a dead zone of
-            the full range.
+        fitted: points (K, N, 3) mm of the model with the effects found, perhaps a dead zone of the
+            full range.
         length: of the body, mm.
     """
     required = spread(expected, visible)
@@ -210,7 +213,7 @@ def _in_reach(model: Model, run: Run, predicted: Floats, length: float) -> None:
 
 
 def _in_order(model: Model, rest: Floats, seen: Floats, visible: Mask) -> None:
-    """Points that are neighbours at rest stay neighbours."""
+    """Check that neighbours at rest remain neighbours."""
     if len(rest) < 4:
         return
     ones = np.unique(np.linspace(0, len(rest) - 1, min(len(rest), FRAMES)).astype(int))
@@ -238,7 +241,7 @@ def _in_order(model: Model, rest: Floats, seen: Floats, visible: Mask) -> None:
 def _in_place(
     model: Model, run: Run, rest: Floats, seen: Floats, visible: Mask, predicted: Floats
 ) -> None:
-    """The frame of the points is right-handed, and the base stands where a fit can find it."""
+    """Check that the frame is right-handed and the base is where a fit can find it."""
     weight = visible.astype(float)
     middle = (seen * weight[..., None]).sum(axis=1) / np.maximum(weight.sum(axis=1), 1.0)[:, None]
     complete = visible.all(axis=1)
@@ -283,7 +286,7 @@ def _in_place(
 
 
 def _or_opposite(model: Model, run: Run, seen: Floats, visible: Mask) -> str:
-    """Report if commands of the opposite sign explain the motion as well as a turned frame."""
+    """Report if commands of the opposite sign explain the motion as well as a rotated frame."""
     share = followed_share(seen - _opposite(model, run), seen, visible) if model.channels else 0.0
     if share < ALIKE:
         return ""
@@ -302,7 +305,7 @@ def _at_the_clamp(
 ) -> None:
     """Report points at the clamp that are in another frame of reference.
 
-    The body is held there and nothing moves it, so they should be at their place at rest.
+    Nothing moves the clamped part, so its points should be at their rest positions.
     """
     length = float(np.linalg.norm(model.rest, axis=1).max())
     there = visible & (np.linalg.norm(rest, axis=1) <= CLAMPED * length)
@@ -325,7 +328,7 @@ def _at_the_clamp(
 
 
 def _upside_down(model: Model, run: Run, seen: Floats, visible: Mask, predicted: Floats) -> None:
-    """Report a declared gravity that points against the way in which things fall."""
+    """Report a declared gravity that points upwards."""
     if run.gravity is None:
         return
     other = np.asarray(model.predict(replace(run, gravity=-run.gravity)))
@@ -342,7 +345,7 @@ def _upside_down(model: Model, run: Run, seen: Floats, visible: Mask, predicted:
 
 
 def _other_cause(model: Model, run: Run, seen: Floats, visible: Mask) -> None:
-    """Name what would make commands and frames agree: another clock, or the other sign."""
+    """Report another clock or the opposite sign if it makes commands and frames agree."""
     some = np.unique(np.linspace(0, run.frames - 1, min(run.frames, FRAMES)).astype(int))
     share = followed_share(seen - _opposite(model, run.at(some)), seen, visible)
     late, later = _clock(model, run, seen, visible, run.t_seen[some])
@@ -365,10 +368,10 @@ def _other_cause(model: Model, run: Run, seen: Floats, visible: Mask) -> None:
 
 
 def _clock(model: Model, run: Run, seen: Floats, visible: Mask, t: Floats) -> tuple[float, float]:
-    """Return the delay of the frames in s, and the share of motion that the commands then explain.
+    """Return the delay of the frames in s, and the share of motion explained with it.
 
-    A periodic command fits again a period later. Of shifts that explain nearly as much, return the
-    smallest.
+    A periodic command also fits one period later. The smallest shift that explains nearly as much
+    is returned.
     """
     grid = np.linspace(run.t[0], run.t[-1], TIMES)
     blank: Document = {
@@ -410,12 +413,12 @@ def _clock(model: Model, run: Run, seen: Floats, visible: Mask, t: Floats) -> tu
 
 
 def _held(model: Model, run: Run, left: Floats, visible: Mask) -> list[str]:
-    """Report commands logged at their extreme while the body moves on: the log may be clipped.
+    """Report commands logged at an extreme while the body moves on: the log may be clipped.
 
-    The misfit there, along the slope of the points over this command, is by how much the command
-    went on. An effect leaves the same whenever a command is held, or goes with the time that it is
-    held for. A clipped one goes on by more or less each time, or as far as it gets at the speed at
-    which it came and went.
+    The misfit along the slope of the points over this command estimates how far the command
+    continued. An effect leaves the same misfit at every hold, or one that depends on the hold's
+    duration. A clipped command continues by a different amount each time, or as far as its speed
+    before and after the hold allows.
     """
     u = model.commands(run)
     dwell = conditions(run, u).dwell
@@ -425,7 +428,7 @@ def _held(model: Model, run: Run, left: Floats, visible: Mask) -> list[str]:
     ends = np.minimum(np.abs(at - u.min(axis=0)), np.abs(at - u.max(axis=0))) <= 1e-9 * np.maximum(
         span, 1e-12
     )
-    # most of them at their ends is meant so: slack
+    # if most commands are at their ends, this is intended: slack
     few = ends[:, span > 0].sum(axis=1) <= max(1, model.channels // 2)
     for c, sign in [(int(c), sign) for c in np.flatnonzero(span > 0) for sign in (-1.0, 1.0)]:
         end, near = float(np.max(sign * u[:, c])), 1e-9 * span[c]
@@ -446,7 +449,7 @@ def _held(model: Model, run: Run, left: Floats, visible: Mask) -> list[str]:
             np.unique(np.linspace(0, len(others) - 1, min(len(others), FRAMES)).astype(int))
         ]
         usual, strength = _goes_on(model, run, left, visible, others, c, step)
-        # a command that hardly moves anything would be off by anything
+        # a command with hardly any effect gives a meaningless estimate
         some = strength > SEEN * np.median(strength)
         usual = STEP * _unexplained(
             np.stack([np.ones(len(others)), at[others, c]], axis=1)[some], usual[some]
@@ -465,10 +468,10 @@ def _held(model: Model, run: Run, left: Floats, visible: Mask) -> list[str]:
 
 
 def _further(t: Floats, u: Floats, free: Mask, seen: Floats) -> Floats:
-    """Return how far a command (T,) gets beyond its held end, at the times `seen` (K,).
+    """Return how far a command (T,) continues beyond its held end, at the times `seen` (K,).
 
-    At the speed at which it came early in the hold, at that at which it left late in it; where it
-    turned is not known.
+    It is extrapolated at the approach speed early in the hold, at the departure speed late in it.
+    The turning point is unknown.
     """
     speed = np.abs(np.gradient(u, t))
     ones = np.flatnonzero(free)
@@ -488,9 +491,9 @@ def _goes_on(
     channel: int,
     step: float,
 ) -> tuple[Floats, Floats]:
-    """Return by how many steps a command must have gone on, and what a step moves.
+    """Return by how many steps a command must have continued in each frame to explain `left`.
 
-    The former is in frames, to explain what is `left`.
+    Also return the effect of one step.
     """
     part, moved, shown = run.at(rows), np.zeros(model.channels), visible[rows][..., None]
     moved[channel] = step
@@ -502,10 +505,10 @@ def _goes_on(
 
 
 def _unexplained(columns: Floats, values: Floats) -> Floats:
-    """Return what columns (n, m) leave of values (n,)."""
+    """Return the residual of values (n,) after a fit of columns (n, m)."""
     return np.asarray(values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0])
 
 
 def spread(left: Floats, visible: Mask) -> float:
-    """Return the RMS mm of the misfit (K, N, 3) about its mean over these frames."""
+    """Return the RMS (mm) of the misfit (K, N, 3) about its mean over these frames."""
     return float(np.sqrt(np.sum(centred(left, visible) ** 2) / max(int(visible.sum()), 1)))

@@ -1,10 +1,10 @@
 """Check whether a strong memory explains an apparent fault of the measurement.
 
-A play makes plateaus, a smaller stroke and a late motion. So do a hanging camera, a command in
-another unit and a wrong clock. So before such a fault is claimed, a play of each width is tried in
-front of the model:
+A play causes plateaus, a smaller stroke and late motion. So do a frozen camera, a command in
+another unit and a wrong clock. Before such a fault is reported, plays of several widths are tried
+in front of the model:
 
-    share = 1 − Σ |(s − p) − mean|² / Σ |s − mean|²  s seen, p predicted points behind a play
+    share = 1 − Σ |(s − p) − mean|² / Σ |s − mean|²  s measured, p predicted points behind a play
     free  = (Σ s p)² / (Σ s² Σ p²)  the same with the best scale, about the means
 
 Limit: one gap for all channels, in half of their median range. Pinned by
@@ -26,18 +26,18 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Gaps in half ranges of the commands: at 2 nothing would move.
+# gaps in half ranges of the commands; with 2 nothing would move
 GAPS = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85, 1.0, 1.15, 1.3, 1.45, 1.6, 1.7, 1.8, 1.85, 1.9, 1.95)
 PLAY = "backlash"
-# of the squares of a jump, relative to the last step alone: the complete way leaves less
+# of the squared jump, relative to the last step alone: the full motion leaves less
 CAUGHT = 0.25
 
 
 @dataclass(frozen=True)
 class MemoryShare:
-    """Share of the motion that a play in front of the model explains at best.
+    """Best share of the motion that a play in front of the model explains.
 
-    At scale 1, and at any scale (`free`).
+    It is given at scale 1 and at the best scale (`free`).
     """
 
     share: float
@@ -45,10 +45,7 @@ class MemoryShare:
 
 
 def memory_share(model: Model, run: Run, seen: Floats, visible: Mask) -> MemoryShare:
-    """Return the share of the motion that the model explains behind a play of the best width.
-
-    The points are (K, N, 3).
-    """
+    """Return the share of the motion (K, N, 3) that the model explains behind the best play."""
     spans = np.ptp(model.commands(run), axis=0)
     if PLAY in model.chain_names or not np.any(spans > 0):
         return MemoryShare(-np.inf, 0.0)
@@ -65,7 +62,7 @@ def memory_share(model: Model, run: Run, seen: Floats, visible: Mask) -> MemoryS
 
 
 def centred(points: Floats, visible: Mask) -> Floats:
-    """Return points (K, N, 3) minus their mean over the frames that show them; 0 if unseen."""
+    """Return points (K, N, 3) minus their mean over the frames that show them; 0 where unseen."""
     shown = np.where(visible[..., None], points, 0.0)
     mean = shown.sum(axis=0) / np.maximum(visible.sum(axis=0), 1)[:, None]
     return np.where(visible[..., None], shown - mean, 0.0)
@@ -74,17 +71,15 @@ def centred(points: Floats, visible: Mask) -> Floats:
 def catches_up(
     begins: list[tuple[int, int, int]], seen: Floats, visible: Mask, predicted: Floats
 ) -> bool:
-    """Return whether points jump after repeated pictures by the motion predicted meanwhile.
+    """Return whether points jump by the complete predicted motion after repeated pictures.
 
-    It must be the complete motion.
-
-    After a plateau of a play they continue from where they stood, by the last step at most.
+    After the plateau of a play they continue from where they were, by the last step at most.
 
     Args:
-        begins: for each stretch its first frame, its last repetition and the frame after it.
+        begins: for each stretch its first frame, its last repetition and the next frame.
         seen: measured points (K, N, 3) mm.
         predicted: predicted points (K, N, 3) mm.
-        visible: (K, N).
+        visible: which points were seen, (K, N).
     """
     total = last = 0.0
     for first, repeated, after in begins:

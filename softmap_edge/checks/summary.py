@@ -1,8 +1,8 @@
-"""Summarise what a run holds and cannot identify, as a dictionary, for `softmap check`.
+"""Summarise the contents and gaps of a run as a dictionary, for `softmap check`.
 
-Dwells are those of `conditions`; a place is visited again when every channel is within 2 % of its
-range (servo resolution is 10 times finer, so two visits of one command are always found and two
-commands of a usual grid never mixed).
+Dwells are those of `conditions`. A place is visited again when every channel is within 2 % of its
+range. Servo resolution is 10 times finer, so repeated commands always match and neighbours on a
+usual grid never do.
 """
 
 from __future__ import annotations
@@ -37,22 +37,30 @@ if TYPE_CHECKING:
     from softmap_edge.model.model import Model
 
 SCHEMA = "softmap.check/1"
-FAR = 2.0  # of the extent of what is seen: farther from the origin is no base frame
+FAR = 2.0  # of the extent of the points: if all are farther from the origin, this is no base frame
 SAME_PLACE = 0.02  # of a channel's range
 
 
 def summary(recorded: Run, model: Model | None = None) -> Document:
-    """Return the contents of a run, with units in the keys; `missing` and `warnings` are sentences.
+    """Return the contents of a run, with units in the keys.
 
-    `collinear` are the conditions that cannot be separated from time or the commands
-    (`collinear.Collinear`, `text`). `home_known` is whether 0 can be home (`advice.home_unknown`).
-    `not_seen` are sentences on points that stand for "not seen". Such a run is not sound; they
-    count as not visible. `unanswered` is a sentence where commands and motion contradict each
-    other, else None; such a run is not sound. `can_tell` and `cannot_tell` are lists of
-    `advice.Word` as `{about, tells, text, remedy, minutes}`. A `model` with a calibration converts
-    the ticks of the run to commands. Raises CalibrationError if it belongs to other servos.
-    `frame_clock` is how the clock of the frames runs against that of the commands
-    (`frame_clock.FrameClock`), or None.
+    - `missing`, `warnings`: sentences.
+    - `collinear`: conditions that cannot be separated from time or the commands
+      (`collinear.Collinear`, `text`).
+    - `home_known`: whether 0 can be home (`advice.home_unknown`).
+    - `not_seen`: sentences on points that stand for "not seen"; these count as not visible, and the
+      run is not sound.
+    - `unanswered`: a sentence if commands and motion contradict each other, else None; such a run
+      is not sound.
+    - `can_tell`, `cannot_tell`: lists of `advice.Advice`, `{about, tells, text, remedy, minutes}`.
+    - `frame_clock`: a `frame_clock.FrameClock` as a dictionary, or None.
+
+    Args:
+        recorded: any run.
+        model: its calibration, if any, converts the ticks of the run to commands.
+
+    Raises:
+        CalibrationError: the calibration belongs to other servos.
     """
     run, lost = without_lost(converted(model, recorded), REMEDY)
     run, depthless = (run, "") if run.points is None else with_depth(run)
@@ -113,7 +121,7 @@ def summary(recorded: Run, model: Model | None = None) -> Document:
 
 
 def sentences(document: Document) -> list[str]:
-    """Return a summary in plain words, one line each."""
+    """Return a summary as plain sentences, one a line."""
     d = document
     unit = d["command_unit"]
     lines = [f"robot     {d['robot'] or 'not named'}"]
@@ -190,13 +198,13 @@ def _rate(t: Floats) -> float | None:
     if len(t) < 2:
         return None
     step = np.diff(t)
-    # without gaps; the mean, for logged times are rounded
+    # without gaps; the mean, because logged times are rounded
     usual = step[step <= 1.5 * np.median(step)]
     return rounded(1.0 / usual.mean())
 
 
 def _extent(seen: Floats | None) -> list[list[float]] | None:
-    """Where the points were: lowest and highest x, y, z in mm."""
+    """Return the extent of the points: lowest and highest x, y, z in mm."""
     if seen is None or not seen.size or seen.shape[-1] != 3:
         return None
     flat = seen.reshape(-1, 3)
@@ -205,14 +213,14 @@ def _extent(seen: Floats | None) -> list[list[float]] | None:
 
 
 def _shown(run: Run, seen: Floats | None) -> Floats | None:
-    """Return the points with NaN for those that are not visible; clouds as they are."""
+    """Return the points with NaN where not visible; clouds unchanged."""
     if seen is None or seen.ndim != 3:
         return seen
     return np.where(known(run, seen)[..., None], seen, np.nan)
 
 
 def _outputs(run: Run) -> Document | None:
-    """The outputs of a run and their ranges, in their unit."""
+    """Return the outputs of a run and their ranges, in their unit."""
     if run.output is None:
         return None
     rows = run.outputs
@@ -238,7 +246,7 @@ def _gravity(run: Run) -> str | None:
 
 
 def _visits(run: Run) -> dict[str, int]:
-    """How often home, and how many other places, were dwelt at again."""
+    """Return the number of rests at home, and of other places visited again."""
     none = {"home_visits": 0, "places_revisited": 0}
     given = run.command if run.command is not None else run.ticks
     if given is None or run.channels == 0 or run.frames == 0 or len(run.t) < 2:
@@ -249,7 +257,7 @@ def _visits(run: Run) -> dict[str, int]:
         return none
     state = conditions(run, rows)
     top = np.abs(rows).max()
-    away = run.t[np.abs(rows).max(axis=1) > HOME * top]  # s, when the command was at another place
+    away = run.t[np.abs(rows).max(axis=1) > HOME * top]  # s, away from home
     home, places, since = 0, list[tuple[int, ...]](), -np.inf
     for visit in np.unique(state.visit[state.visit >= 0]):
         frames = state.visit == visit
@@ -290,7 +298,7 @@ def _missing(run: Run, document: Document) -> list[str]:
 
 
 def _damage(run: Run) -> list[str]:
-    """Return a sentence if the run was made of a damaged recording or log."""
+    """Return a sentence if the run comes from a damaged recording or log."""
     text = text_in(run.extra, DAMAGE)
     return [] if text is None else [f"made of what could be read: {text}"]
 
@@ -306,7 +314,7 @@ def _warnings(run: Run) -> list[str]:
     for name, times in (("t", run.t), ("t_seen", run.t_seen)):
         step = np.diff(times)
         if name == "t_seen" and run.gravity is not None and run.gravity.ndim == 2:
-            # While a hand turns the robot, frames do not count.
+            # ignore frames during which a person turns the robot
             lie = np.asarray(run.gravity)[
                 np.clip(np.searchsorted(run.t, run.t_seen), 0, len(run.t) - 1)
             ]

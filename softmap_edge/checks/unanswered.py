@@ -1,8 +1,7 @@
-"""Find runs whose points do not answer the commands, without a model.
+"""Find runs whose points contradict the commands, without a model.
 
-The points move although no command changes, or stay still although commands change.
-
-A diagnosis finds both with the model (`sound.stray`, `belongs.still`). Pinned by
+The points move although no command changes, or stay still although commands change. A diagnosis
+detects both with the model (`sound.stray`, `belongs.still`). Pinned by
 tests/checks/test_unanswered.py.
 """
 
@@ -18,16 +17,16 @@ from softmap_edge.run.run import Run, known
 
 Array = NDArray[np.float64]
 
-LEAST = 30  # frames: with fewer, nothing is reported
-NOISE = 5.0  # times the noise: a motion
-STILL = 1.15  # times the noise, likewise: no motion
-CHANCE = 5.0  # times the share of the motion that the commands explain by chance
+LEAST = 30  # frames; with fewer, nothing is reported
+NOISE = 5.0  # times the noise: larger is motion
+STILL = 1.15  # times the noise: smaller is no motion
+CHANCE = 5.0  # times the share of the motion that commands explain by chance
 
 
 def unanswered(run: Run) -> str | None:
     """Return a sentence if commands and motion contradict each other.
 
-    None if not, or if it cannot be known.
+    Return None if they agree, or if the run does not show it.
     """
     points = run.places
     u = commanded(run)
@@ -58,7 +57,7 @@ def unanswered(run: Run) -> str | None:
 
 
 def _noise(places: Array) -> float:
-    """Return the noise of a point (RMS mm) of places (K, N, 3)."""
+    """Return the noise of a point (RMS, mm) from places (K, N, 3)."""
     each = [[noise_of(column) for column in point.T] for point in places.transpose(1, 0, 2)]
     return float(np.sqrt(np.mean(np.sum(np.square(each), axis=1))))
 
@@ -66,7 +65,7 @@ def _noise(places: Array) -> float:
 def _length(places: Array) -> float:
     """Return the extent (mm) of the mean places of points (K, N, 3).
 
-    The base is added where there is one point.
+    A single point is measured from the base.
     """
     middle = np.nanmedian(places, axis=0)
     return float(np.linalg.norm(np.ptp(middle, axis=0) if len(middle) > 1 else middle[0]))
@@ -86,7 +85,7 @@ def _other_cause(run: Run) -> bool:
 
 
 def _follows(run: Run, u: Array, places: Array) -> bool:
-    """Return whether the commands (T, C) explain more of the motion (K, N, 3) than by chance."""
+    """Return whether commands (T, C) explain more of the motion (K, N, 3) than chance does."""
     at = np.stack([np.interp(run.t_seen, run.t, column) for column in u.T], axis=1)
     at = (at - at.mean(axis=0)) / np.maximum(at.std(axis=0), 1e-12)
     columns = np.column_stack([np.ones(len(at)), at, at**2])

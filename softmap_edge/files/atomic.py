@@ -12,15 +12,15 @@ from typing import Any
 
 from softmap_edge.errors import SoftmapError
 
-Document = dict[str, Any]  # what a JSON or TOML file holds; inside, data have types of their own
+Document = dict[str, Any]  # content of a JSON or TOML file
 
-MOST_TEXT = 64 << 20  # bytes of a document
+MOST_TEXT = 64 << 20  # bytes of a document at most
 
 
 def write_atomically(path: str | Path, content: str | bytes) -> None:
     """Write text or bytes to `path`, replacing it only when complete.
 
-    Text is UTF-8; characters without such a form become `?`.
+    Text is UTF-8; characters that it cannot encode become `?`.
     """
     with replacement_of(Path(path)) as partial:
         partial.write_bytes(
@@ -86,7 +86,7 @@ def _mask() -> int:
 
 
 def read_document(path: str | Path, error: type[SoftmapError] = SoftmapError) -> str:
-    """Return a document's text; raise `error` if it is no text file or too large."""
+    """Return a document's text; raise `error` if it is not a text file or too large."""
     file = Path(path)
     if file.exists() and not file.is_file():
         raise error(f"{path}: no file; give a document")

@@ -1,11 +1,10 @@
-"""Run a foreign parser on an untrusted file in a child process with limits on memory and time.
+"""Run a third-party parser on an untrusted file in a child process with limited memory and time.
 
     arrays = in_child(parse, path, megabytes=1000, seconds=60)
 
-The child is forked, so it starts in milliseconds and needs no import. It cannot write to any file,
-its output is dropped, and its answer comes back as JSON and raw numbers: no pickle is read. If it
-crashes, hangs or takes more memory than allowed, only the child ends. Pinned by
-tests/files/test_in_child.py.
+The child is forked, so it starts in milliseconds and imports nothing. It cannot write files, its
+output is discarded, and its answer returns as JSON and raw numbers: no pickle is read. If it
+crashes, hangs or exceeds its memory, only the child ends. Pinned by tests/files/test_in_child.py.
 """
 
 from __future__ import annotations
@@ -31,21 +30,21 @@ from softmap_edge.errors import SoftmapError, brief
 
 Given = TypeVarTuple("Given")
 PAGE = 1 << 16  # bytes read at a time from the child
-PATIENCE = 4.0  # real time for each second of processor time: the computer may be busy
-_ALIGNED = 64  # bytes: each array begins at a multiple of it
+PATIENCE = 4.0  # real time per second of processor time: the computer may be busy
+_ALIGNED = 64  # bytes: each array starts at a multiple
 _PAGE_SIZE = os.sysconf("SC_PAGE_SIZE")
 
 
 class ChildFault(SoftmapError):
-    """The child raised a foreign exception, crashed or met a limit; the message names it."""
+    """The child raised another library's exception, crashed or reached a limit; see the message."""
 
 
 class ChildMemory(ChildFault):
-    """The child needs more memory than it may take."""
+    """The child needs more memory than allowed."""
 
 
 class ChildLate(ChildFault):
-    """The child takes longer than it may."""
+    """The child takes longer than allowed."""
 
 
 def in_child(
@@ -54,29 +53,29 @@ def in_child(
     megabytes: int = 1000,
     seconds: float = 60.0,
 ) -> Any:
-    """Return `function(*args)` as a forked child found it.
+    """Return the result of `function(*args)` from a forked child.
 
     Args:
         function: returns arrays of numbers or text, numbers, strings, None, and lists or dicts
             (with text keys) of them.
         args: its arguments.
-        megabytes: memory that the child may take beyond that of this process, and size of the
+        megabytes: memory that the child may take in addition to this process, and size limit of the
             answer.
-        seconds: processor time that it may take; a busy computer gets `PATIENCE` times as long.
+        seconds: processor time that it may take; the limit in real time is `PATIENCE` times that.
 
     Returns:
         Any: what the function returned.
 
     Raises:
-        SoftmapError: the function raised an error of this package; it is raised again with its
+        SoftmapError: the function raised an error of this package, which is raised again with its
             class and message.
-        ChildMemory: it needs more memory.
-        ChildLate: it takes longer, or its answer is too large.
-        ChildFault: it raised anything else, or crashed.
+        ChildMemory: the child needs more memory.
+        ChildLate: the child takes longer, or its answer is too large.
+        ChildFault: the child raised any other exception, or crashed.
     """
     ours, theirs = os.pipe()
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of a fork while threads run: the child uses none of them
+        warnings.simplefilter("ignore")  # about forking with threads: the child uses none of them
         pid = os.fork()
     if pid == 0:
         os.close(ours)
@@ -86,15 +85,15 @@ def in_child(
         content = _read(ours, megabytes << 20, time.monotonic() + PATIENCE * seconds)
     finally:
         os.close(ours)
-        os.kill(pid, signal.SIGKILL)  # it is done, or it is too late
+        os.kill(pid, signal.SIGKILL)  # finished, or too late
         status = os.waitpid(pid, 0)[1]
     return _answer(content, status, megabytes, seconds)
 
 
 def _read(pipe: int, most: int, deadline: float) -> bytearray | None:
-    """Return all that comes through a pipe, or None if it does not end in time or is too much."""
+    """Return all bytes from a pipe, or None if it does not end in time or exceeds `most`."""
     content = bytearray()
-    poll = select.poll()  # `select` takes descriptors below 1024 only
+    poll = select.poll()  # `select` is limited to descriptors below 1024
     poll.register(pipe, select.POLLIN)
     while (left := deadline - time.monotonic()) > 0.0 and len(content) <= most:
         if poll.poll(1e3 * left):
@@ -140,9 +139,9 @@ def _be_child(
 ) -> None:
     """Run the function under limits, write its answer, and end at once; never returns."""
     try:
-        # a module next to the file is not imported
+        # do not import a module next to the file
         sys.path[:] = [folder for folder in sys.path if folder]
-        faulthandler.disable()  # its report would go where the caller's goes
+        faulthandler.disable()  # its report would go to the caller's output
         _limit(megabytes, seconds)
         _isolate(pipe)
         for part in _result(function, args, megabytes):
@@ -163,22 +162,22 @@ def _limit(megabytes: int, seconds: float) -> None:
     for which, most in limits.items():
         hard = resource.getrlimit(which)[1]
         most = most if hard == resource.RLIM_INFINITY else min(most, hard)
-        # The hard limit of time would be SIGKILL, which gives no reason.
+        # the hard limit on time would be SIGKILL, which gives no reason
         resource.setrlimit(which, (most, hard if which == resource.RLIMIT_CPU else most))
-    # handlers of this process are not the child's
+    # signal handlers of the parent do not apply to the child
     for number in (signal.SIGALRM, signal.SIGTERM, signal.SIGXCPU):
         signal.signal(number, signal.SIG_DFL)
-    # a write to a file fails, and a library may go on without it
+    # writing to a file fails; a library may continue without it
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     signal.setitimer(signal.ITIMER_REAL, 0)
 
 
 def _isolate(pipe: int) -> None:
-    """Close whatever this process has open (ports, sockets, files) but the pipe; drop output."""
+    """Close everything that is open (ports, sockets, files) except the pipe; discard output."""
     nowhere = os.open(os.devnull, os.O_RDWR)
     for descriptor in map(int, os.listdir("/proc/self/fd")):
         if descriptor not in (pipe, nowhere):
-            with contextlib.suppress(OSError):  # that of the listing is closed by now
+            with contextlib.suppress(OSError):  # the descriptor of the listing is closed already
                 os.close(descriptor)
     for stream in {0, 1, 2} - {pipe}:
         os.dup2(nowhere, stream)
@@ -188,7 +187,7 @@ def _isolate(pipe: int) -> None:
 def _result(
     function: Callable[..., object], args: tuple[object, ...], megabytes: int
 ) -> list[memoryview]:
-    """Return the answer in parts: a line of JSON, and arrays of the types and shapes it lists."""
+    """Return the answer in parts: a line of JSON, and arrays with the types and shapes it lists."""
     arrays: list[memoryview] = []
     try:
         with warnings.catch_warnings():
@@ -198,7 +197,7 @@ def _result(
         return [_line([type(fault).__name__, str(fault)])]
     except MemoryError:
         return [_line(["memory", f"needs more than {megabytes} MB of memory"])]
-    except BaseException as fault:  # a parser may raise anything, SystemExit included
+    except BaseException as fault:  # a parser may raise anything, including SystemExit
         text = f"{type(fault).__name__}: {brief(fault)}"
         short = "memory" in text.lower() or "allocate" in text.lower()  # as C libraries report it
         return [
@@ -234,7 +233,7 @@ def _packed(value: object, arrays: list[memoryview]) -> object:
 
 # --- in the parent again -------------------------------------------------------------------
 class _Reader:
-    """Reads the value of a document; its arrays lie in `content` in the order of the document."""
+    """Read the value of a document; its arrays lie in `content` in the order of the document."""
 
     def __init__(self, content: memoryview) -> None:
         self.content, self.at = content, 0

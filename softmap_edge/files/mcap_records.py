@@ -1,10 +1,10 @@
-"""Walk through the records of an MCAP file; check its framing, checksums and final statistics.
+"""Read the records of an MCAP file; check framing, checksums and closing statistics.
 
-An MCAP file that was closed ends with a summary (how many messages, where the chunks are), a footer
-and the magic bytes. CRC-32 checksums of the data section and of the summary are there unless they
-are 0. A file that was cut has no end. After bytes that are no record the walk goes on at the next
-chunk. A disk that lost its last blocks leaves zeros: a record that ends in them and has no checksum
-of its own is no record. This module needs no package. Pinned by tests/files/test_mcap_damage.py.
+A closed MCAP file ends with a summary (message counts, places of the chunks), a footer and the
+magic bytes. CRC-32 checksums of the data section and of the summary are present unless they are 0.
+A truncated file has no end. After bytes that are not a record, reading continues at the next chunk.
+A disk that lost its last blocks leaves zeros, so a record that ends in zeros and has no checksum of
+its own is rejected. This module needs no package. Pinned by tests/files/test_mcap_damage.py.
 
 Source of the format: MCAP, Foxglove, https://mcap.dev/spec.
 """
@@ -25,11 +25,11 @@ HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX, ATT
 )
 STATISTICS, METADATA, DATA_END = 0x0B, 0x0C, 0x0F
 READ = (FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, DATA_END)
-LONGEST = 2**28 + 2**16  # bytes of a record that are read
+LONGEST = 2**28 + 2**16  # bytes of the longest record that is read
 _HEAD = struct.Struct("<BQ")  # kind, length
-# first and last time, size and checksum unpacked, length of the compression
+# first and last time, unpacked size, checksum, length of the compression's name
 _CHUNK_HEAD = struct.Struct("<QQQII")
-_FOOTER = struct.Struct("<BQQQI")  # kind, length, where the summary and its offsets begin, checksum
+_FOOTER = struct.Struct("<BQQQI")  # kind, length, start of the summary and of its offsets, checksum
 _STATISTICS = struct.Struct("<QHIIIIQQI")
 _BLOCK = 2**20
 
@@ -40,9 +40,9 @@ class Damage(str):
 
 @dataclass(frozen=True)
 class Record:
-    """A record: its kind, where it begins and ends in the file, and its bytes.
+    """A record: its kind, its start and end in the file, and its bytes.
 
-    They are empty for kinds that are not `READ`.
+    The bytes are empty for kinds that are not `READ`.
     """
 
     kind: int
@@ -56,13 +56,13 @@ class Closing:
     """The statements at the end of a closed file.
 
     Attributes:
-        data_end: where the data section ends, bytes.
-        data: whether the checksum of the data section matches; None if there is none.
-        summary: the same of the summary.
+        data_end: end of the data section, bytes.
+        data: whether the checksum of the data section matches; None without checksum.
+        summary: the same for the summary.
         counts: messages by channel id; None if not stated.
-        total: messages; None without sound statistics.
-        spans: first and last time (ns) of each chunk, by where it begins.
-        defined: the schemas and channels of the summary (kind, bytes).
+        total: messages; None without valid statistics.
+        spans: first and last time (ns) of each chunk, by its start in the file.
+        defined: schemas and channels of the summary (kind, bytes).
     """
 
     data_end: int
@@ -87,7 +87,7 @@ class Chunk:
 
 
 def read_chunk(body: bytes) -> Chunk:
-    """Return a chunk, still packed. Raises ValueError where its parts do not fill it exactly."""
+    """Return a chunk, still packed; raise ValueError if its parts do not fill it exactly."""
     if len(body) < _CHUNK_HEAD.size:
         raise ValueError("a chunk that is too short")
     first, last, size, crc, length = _CHUNK_HEAD.unpack_from(body)
@@ -105,7 +105,8 @@ def read_chunk(body: bytes) -> Chunk:
 def split(data: bytes) -> Iterator[tuple[int, bytes]]:
     """Yield kind and bytes of each record in `data`.
 
-    Raises ValueError where the last one is not complete.
+    Raises:
+        ValueError: the last record is incomplete.
     """
     at, size = 0, len(data)
     while at < size:
@@ -136,7 +137,7 @@ def read_closing(file: BinaryIO, size: int) -> Closing | None:
     summary = _piece(file, begins, footer - begins)
     found = zlib.crc32(end[: _FOOTER.size - 4], zlib.crc32(summary))
     sound = None if stated == 0 else found == stated
-    # without a summary, writers disagree on the checksummed bytes
+    # without a summary, writers differ in the bytes they checksum
     if start == 0 and sound is False:
         sound = None
     data_end, data = _data_section(file, begins)
@@ -165,7 +166,7 @@ def _stated(closing: Closing, summary: bytes) -> Closing:
 
 
 def _data_section(file: BinaryIO, begins: int) -> tuple[int, bool | None]:
-    """Return where the data section ends, before `begins`, and whether its checksum matches."""
+    """Return the end of the data section, before `begins`, and whether its checksum matches."""
     start = begins - _HEAD.size - 4
     if start < len(MAGIC):
         return begins, None
@@ -174,7 +175,7 @@ def _data_section(file: BinaryIO, begins: int) -> tuple[int, bool | None]:
         return begins, None
     if stated == 0:
         return start, None
-    # With the magic bytes, as most writers do it; after them; after the header.
+    # start of the checksum: with the magic bytes, as in most writers; after them; after the header
     header = len(MAGIC) + _HEAD.size + int.from_bytes(_piece(file, len(MAGIC) + 1, 8), "little")
     return start, any(
         _checksum(file, first, start) == stated
@@ -198,10 +199,10 @@ def _piece(file: BinaryIO, start: int, length: int) -> bytes:
 
 # --- the data section ------------------------------------------------------------------------
 class Walk:
-    """The records of the data section of a file, from its first to `end`.
+    """Iterate over the records of a file's data section, up to `end`.
 
-    `.gaps` are the bytes (from, to) that are no records, `.odd` is the number of skipped records of
-    an unknown kind.
+    `.gaps` are the byte ranges (from, to) that are not records; `.odd` is the number of skipped
+    records of an unknown kind.
     """
 
     def __init__(self, file: BinaryIO, size: int, end: int | None = None) -> None:
@@ -223,7 +224,7 @@ class Walk:
             at = record.end
 
     def _record(self, at: int) -> Record | None:
-        """Return the record that begins at `at`; None where none does."""
+        """Return the record that begins at `at`; None if there is none."""
         head = _piece(self._file, at, _HEAD.size)
         if len(head) < _HEAD.size:
             return None
@@ -235,7 +236,7 @@ class Walk:
             body = _piece(self._file, at + _HEAD.size, length) if length <= LONGEST else b""
             return Record(kind, at, end, body) if fits(kind, body, length) else None
         if not fits(kind, _piece(self._file, at + _HEAD.size, min(length, _BLOCK)), length):
-            if self._next_chunk(at + 1, end) < end:  # a wrong length reaches over the next records
+            if self._next_chunk(at + 1, end) < end:  # a wrong length covers the next records
                 return None
             self.odd += kind > DATA_END
         return Record(kind, at, end)
@@ -243,18 +244,18 @@ class Walk:
     def _ends_in_zeros(self, record: Record) -> bool:
         """Return whether a record ends in zeros and has no checksum.
 
-        The zeros go on after it, or the file is cut there.
+        The zeros must continue after it, or the file must end there.
         """
         if record.kind not in (SCHEMA, CHANNEL, MESSAGE, CHUNK) or not record.body.endswith(b"\0"):
             return False
         if record.kind == CHUNK and (
             (chunk := read_chunk(record.body)).crc != 0 or chunk.compression
         ):
-            return False  # it is checked when it is unpacked
-        return _piece(self._file, record.end, 1) in (b"", b"\0")  # no record is of kind 0
+            return False  # checked when unpacked
+        return _piece(self._file, record.end, 1) in (b"", b"\0")  # no record has kind 0
 
     def _next_chunk(self, at: int, end: int) -> int:
-        """Return where the next chunk begins whose lengths agree, from `at` on, or `end`."""
+        """Return the start of the next chunk with consistent lengths, from `at` on, or `end`."""
         while at < end:
             block = _piece(self._file, at, _BLOCK + 256)
             found = _chunk_in(np.frombuffer(block, np.uint8), at, self._size)
@@ -267,7 +268,7 @@ class Walk:
 def _chunk_in(
     block: np.ndarray[tuple[int], np.dtype[np.uint8]], offset: int, size: int
 ) -> int | None:
-    """Return the place of the first chunk in a block that begins at `offset`.
+    """Return the start of the first chunk in a block that begins at `offset`.
 
     The file has `size` bytes.
     """
@@ -297,7 +298,7 @@ def _chunk_in(
 
 
 def fits(kind: int, body: bytes, length: int) -> bool:
-    """Return whether the parts of a record fill its length; `body` may be its beginning alone."""
+    """Return whether the parts of a record fill its length; `body` may be only its beginning."""
     try:
         return _FITS[kind](body, length) if kind in _FITS else False
     except struct.error:

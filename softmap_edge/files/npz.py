@@ -1,4 +1,4 @@
-"""Array archives (`.npz`) that are the same bytes for the same content and never run code."""
+"""Array archives (`.npz`): equal bytes for equal content; reading one never runs code."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from numpy.typing import NDArray
 from softmap_edge.errors import SoftmapError, brief
 from softmap_edge.files.atomic import replacement_of
 
-Arrays = dict[str, NDArray[np.generic]]  # the content of an archive, by name
+Arrays = dict[str, NDArray[np.generic]]  # content of an archive, by name
 Floats = NDArray[np.float64]
 
 MAX_BYTES = 4 << 30
 MOST_ARRAYS = 1000
 OBJECTS = "it holds Python objects, which are never read"
-_MOST_DIRECTORY = 1 << 20  # bytes of an archive's table of contents; that of 1000 arrays has 0.1 MB
+_MOST_DIRECTORY = 1 << 20  # bytes of an archive's table of contents; 1000 arrays need 0.1 MB
 _END, _END_BYTES, _LONGEST_COMMENT = b"PK\5\6", 22, 1 << 16  # of the record that ends an archive
-# of what stands before that record in an archive of more than 4 GiB
+# of the preceding record in an archive of more than 4 GiB
 _ZIP64, _ZIP64_BYTES = b"PK\6\7", 20
-STEP = "_step"  # what ends the name of the steps of an array
+STEP = "_step"  # suffix of the name of an array's steps
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 
 
 def write_npz(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
     """Write `arrays` to `path`, replacing it only when complete; equal content gives equal bytes.
 
-    Tables of whole numbers go column after column: numbers of steps are smooth down a column and a
-    fifth smaller so.
+    Tables of whole numbers are stored column by column: steps vary smoothly within a column, so the
+    file is a fifth smaller.
     """
     with (
         replacement_of(path) as partial,
@@ -42,7 +42,7 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
         for name in sorted(arrays):
             buffer = io.BytesIO()
             order: Literal["F", "C"] = "F" if np.asarray(arrays[name]).dtype.kind == "i" else "C"
-            # ascontiguousarray would give a number an axis
+            # ascontiguousarray would add an axis to a scalar
             array = np.asarray(arrays[name], order=order)
             np.lib.format.write_array(buffer, array, allow_pickle=False)
             archive.writestr(
@@ -58,7 +58,7 @@ def read_npz(
 ) -> dict[str, NDArray[np.generic]]:
     """Read every array of `path`.
 
-    Raise `error` with one line when it is damaged, too large or holds objects.
+    Raise `error` with one line if the archive is damaged, too large or holds objects.
     """
     if path.exists() and not path.is_file() and not path.is_dir():
         raise error(f"{path}: no file that can be read at will; give an .npz file")
@@ -88,7 +88,7 @@ def read_npz(
         raise error(f"{path}: a folder, not an .npz file; give the file") from None
     except SoftmapError:
         raise
-    except Exception as fault:  # zipfile and zlib raise a dozen kinds on damaged files
+    except Exception as fault:  # damaged files raise a dozen kinds in zipfile and zlib
         remedy = "make it again or copy it again"
         if path.suffix.lower() != ".npz":
             remedy = "a log becomes a run with `softmap import`"
@@ -98,14 +98,14 @@ def read_npz(
 
 
 def archive_names(path: Path) -> set[str]:
-    """Return the names in an archive; an empty set if it is no readable archive."""
-    if not path.is_file():  # a pipe or a device may never end
+    """Return the names in an archive; an empty set if it is not a readable archive."""
+    if not path.is_file():  # reading a pipe or a device may never end
         return set()
     try:
         check_directory(path)
         with zipfile.ZipFile(path) as archive:
             return set(archive.namelist())
-    # zipfile raises a dozen kinds on damaged files; the reader of the file reports what is wrong
+    # damaged files raise a dozen kinds in zipfile; the reader of the file reports the fault
     except Exception:
         return set()
 
@@ -113,17 +113,17 @@ def archive_names(path: Path) -> set[str]:
 def check_directory(path: Path, error: type[SoftmapError] = SoftmapError) -> None:
     """Reject an archive whose table of contents is too large.
 
-    This is before `zipfile` takes memory for each of its entries.
+    `zipfile` would allocate memory for each of its entries.
     """
     with path.open("rb") as file:
         size = file.seek(0, 2)
         file.seek(max(0, size - _END_BYTES - _LONGEST_COMMENT - _ZIP64_BYTES))
         tail = file.read()
-    # without a comment, as zipfile looks
+    # without a comment, as zipfile looks first
     plain = tail[-_END_BYTES:].startswith(_END) and tail.endswith(b"\0\0")
     place = len(tail) - _END_BYTES if plain else tail.rfind(_END)
     if place < 0:
-        return  # no archive, which zipfile reports
+        return  # not an archive; zipfile reports it
     if tail[max(0, place - _ZIP64_BYTES) : place].startswith(_ZIP64):
         raise error(
             f"{path.name}: an archive in the ZIP64 form for more than 4 GiB, which is not read; "
@@ -147,12 +147,12 @@ class ArrayHeader:
 
     @property
     def bytes(self) -> int:
-        """The size of the array; it may be larger than the file."""
+        """The size of the array in bytes; it may exceed the file."""
         return int(np.prod(self.shape, dtype=object)) * self.dtype.itemsize
 
 
 def array_header(stream: IO[bytes]) -> ArrayHeader:
-    """Read the header of an array in NumPy's format; the numbers follow in the stream.
+    """Read the header of an array in NumPy's format; the stream then stands at the numbers.
 
     Raises:
         ValueError: another version of the format, a damaged header, or a negative length.
@@ -172,9 +172,9 @@ def array_header(stream: IO[bytes]) -> ArrayHeader:
 
 @dataclass(frozen=True, eq=False)
 class Stored:
-    """Numbers as an archive keeps them: as they are, or as whole numbers of steps.
+    """Numbers as stored in an archive: unchanged, or as whole numbers of steps.
 
-    `array` is what stands under a name, `step` (broadcasts to it) what stands under `name_step`.
+    `array` is stored under a name; `step`, which broadcasts to it, under `name_step`.
     """
 
     array: NDArray[np.generic]
@@ -182,9 +182,9 @@ class Stored:
 
     @classmethod
     def in_steps(cls, values: Floats, step: Floats | float, kind: type) -> Stored:
-        """Return `values` as whole numbers of steps; half a step is lost at most.
+        """Return `values` as whole numbers of steps; the rounding error is half a step at most.
 
-        `step` is one number or broadcasts to the values; it is widened where values would not fit
+        `step` is one number or broadcasts to the values. It is increased where values would not fit
         into `kind` (np.int8 or np.int16).
         """
         step = np.asarray(step, np.float64)
@@ -194,7 +194,7 @@ class Stored:
             else None
         )
         largest = np.max(np.abs(values), axis=alike, keepdims=step.ndim > 0, initial=0.0)
-        # Up by more than what float32 may round it down.
+        # increase it by more than float32 may round it down
         exact = np.maximum(
             np.float32((1.0 + 1e-6) * np.maximum(step, largest / np.iinfo(kind).max)),
             np.float32(1e-30),
@@ -206,7 +206,7 @@ class Stored:
         """Read the numbers called `name`.
 
         Raises:
-            SoftmapError: they are missing, or their steps do not fit.
+            SoftmapError: they are missing, or their steps do not match.
         """
         array, step = array_of(arrays, name), arrays.get(f"{name}{STEP}")
         if step is not None and not _broadcasts(step.shape, array.shape):
@@ -214,12 +214,12 @@ class Stored:
         return cls(array, step)
 
     def to_npz(self, name: str) -> Arrays:
-        """Return the arrays of the numbers called `name`."""
+        """Return the arrays to store for the numbers called `name`."""
         return {name: self.array} | ({} if self.step is None else {f"{name}{STEP}": self.step})
 
     @property
     def values(self) -> Floats:
-        """The numbers themselves."""
+        """The numbers, steps multiplied out."""
         values = np.asarray(self.array, np.float64)
         return values if self.step is None else values * np.asarray(self.step, np.float64)
 
@@ -232,7 +232,7 @@ def _broadcasts(shape: tuple[int, ...], to: tuple[int, ...]) -> bool:
 
 
 def fields_of(array: NDArray[np.generic]) -> Arrays:
-    """Return the fields of a structured array by name; none of any other array."""
+    """Return the fields of a structured array by name; empty for any other array."""
     names, fields = array.dtype.names, array.dtype.fields
     if names is None or fields is None:
         return {}
@@ -277,9 +277,9 @@ def _read_array(
 
 
 def _code_points(array: NDArray[np.generic]) -> NDArray[np.uint32]:
-    """Return the characters of a text array as numbers.
+    """Return the characters of a text array as code points.
 
-    NumPy reads damaged ones, but Python raises SystemError.
+    NumPy reads damaged characters, but Python raises SystemError.
     """
     native = np.ascontiguousarray(array).astype(array.dtype.newbyteorder("="), copy=False)
     return native.reshape(-1).view(np.uint32)

@@ -1,4 +1,4 @@
-"""How reports write numbers: lengths, shares, bars of text, excessive numbers and folded lines."""
+"""Format numbers in reports: lengths, shares, text bars, excessive numbers and folded lines."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import math
 import re
 import textwrap
 
-WIDTH = 100  # of a line of text
+WIDTH = 100  # characters of a line
 BAR = 28
-# numbers beyond it are written as powers of ten: a fit that ran away must not fill the screen
+# larger numbers are written as powers of ten, so a diverged fit does not fill the screen
 LARGEST = 1e6
 LONG_NUMBER = re.compile(r"(?<![\w.])([+-]?)([1-9]\d{6,})(?:\.\d*)?(?!\w)")
 EIGHTHS = " ▏▎▍▌▋▊▉█"
@@ -26,7 +26,7 @@ def bar(value: float, scale: float, width: int = BAR) -> str:
 
 
 def mm(value: object) -> str:
-    """Return a length with three figures ('0.123', '12.3'), or '–' where it is not known."""
+    """Return a length with three figures ('0.123', '12.3'), or '–' if unknown."""
     if not isinstance(value, (int, float)) or not math.isfinite(value):
         return "–"
     if abs(value) >= LARGEST:
@@ -37,9 +37,9 @@ def mm(value: object) -> str:
 
 
 def fall(before: float, after: float, floor: float | None = None) -> float | None:
-    """Return the share of the error above `floor` (0 without one) that is gone, if any.
+    """Return the share by which the error above `floor` (default 0) falls.
 
-    None when there is no error above it.
+    None if no error exceeds the floor.
     """
     base = floor or 0.0
     removable = before - base
@@ -47,7 +47,7 @@ def fall(before: float, after: float, floor: float | None = None) -> float | Non
 
 
 def percent(share: object) -> str:
-    """Return a share as '87 %', or '–' where it is not known."""
+    """Return a share as '87 %', or '–' if unknown."""
     known = number(share)
     if known is None:
         return "–"
@@ -62,12 +62,12 @@ def number(value: object) -> float | None:
 def tamed(text: object) -> str:
     """Return a sentence with large numbers written as powers of ten.
 
-    Those of seven digits and more, as in '+1.2e+31 % in mm'.
+    These have seven digits or more, as in '+1.2e+31 % in mm'.
     """
 
     def short(found: re.Match[str]) -> str:
         sign, digits = found.groups()
-        power = len(digits) - 1  # by hand: a number of 400 digits is beyond a float
+        power = len(digits) - 1  # by hand: 400 digits exceed a float
         leading = f"{int(digits[:6]) / 1e5:.1f}"
         return (
             f"{sign}1.0e+{power + 1:02d}" if leading == "10.0" else f"{sign}{leading}e+{power:02d}"
@@ -77,6 +77,6 @@ def tamed(text: object) -> str:
 
 
 def folded(text: str, indent: int, hang: int = 0) -> list[str]:
-    """Return lines of `WIDTH` at most, indented; all but the first by `hang` more."""
+    """Return lines of at most `WIDTH`, indented; all but the first by `hang` more."""
     pad = " " * indent
     return textwrap.wrap(text, WIDTH, initial_indent=pad, subsequent_indent=pad + " " * hang)

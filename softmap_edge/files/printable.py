@@ -1,10 +1,8 @@
-"""Text that a terminal or a page only displays.
+"""Escape control characters, bidirectional marks and surrogates in displayed text.
 
-Control characters, bidirectional marks and surrogates are escaped.
-
-Names and paths come from files and arguments of unknown origin. Raw, they could move the cursor,
-recolour the terminal, forge a line or fail to encode. Escapes have the form of JSON (`\\u001b`), so
-JSON documents stay valid. Pinned by tests/files/test_printable.py.
+Names and paths come from files and arguments of unknown origin. Unescaped, they could move the
+cursor, recolour the terminal, forge a line or fail to encode. Escapes have the form of JSON
+(`\\u001b`), so JSON documents stay valid. Pinned by tests/files/test_printable.py.
 """
 
 from __future__ import annotations
@@ -43,9 +41,9 @@ def _escape(character: str) -> str:
 
 
 class PrintableStream:
-    """A text stream that writes only printable characters to `raw`.
+    """Wrap the text stream `raw` so that only printable characters are written.
 
-    It passes all other calls on to it.
+    All other calls are passed on.
     """
 
     def __init__(self, raw: TextIO) -> None:
@@ -57,7 +55,7 @@ class PrintableStream:
         return len(text)
 
     def writelines(self, lines: list[str]) -> None:
-        """Write each of the lines."""
+        """Write each line."""
         for line in lines:
             self.write(line)
 

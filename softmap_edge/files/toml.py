@@ -1,7 +1,7 @@
-"""A TOML table that is read key by key and then reports its unknown keys.
+"""Read a TOML table key by key, then report its unknown keys.
 
-Every fault is one RunError that names the file, the key, what was found and what is expected.
-`quoted` is how any text is written into TOML. Pinned by tests/robot/test_rig_file.py.
+Every fault is one RunError with the file, the key, the value found and the expected value.
+`quoted` writes any text as TOML. Pinned by tests/robot/test_rig_file.py.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def parsed(text: str) -> Document:
 
 
 class TomlTable:
-    """A TOML table that records which keys were read, so that unknown keys can be named."""
+    """A TOML table that records the keys read, so that unknown keys can be listed."""
 
     def __init__(self, values: object, where: str) -> None:
         if not isinstance(values, dict):
@@ -67,7 +67,7 @@ class TomlTable:
         self.values, self.where, self.asked = values, where, list[str]()
 
     def get(self, key: str, kinds: tuple[type, ...], default: object = None) -> Any:
-        """Return the value of a key, of one of the given kinds."""
+        """Return the value of a key; it must be of one of the given kinds."""
         self.asked.append(key)
         if key not in self.values:
             return default
@@ -96,7 +96,7 @@ class TomlTable:
         return None if value is None else int(value)
 
     def choice(self, key: str, allowed: tuple[str, ...], default: str) -> str:
-        """Return a text that is one of a few."""
+        """Return a text that must be one of `allowed`."""
         value = str(self.get(key, (str,), default))
         if value not in allowed:
             near = nearest(value, allowed)
@@ -107,11 +107,11 @@ class TomlTable:
         return value
 
     def table(self, key: str) -> TomlTable:
-        """Return a table within this one; an absent one is empty."""
+        """Return a table within this one; empty if absent."""
         return TomlTable(self.get(key, (dict,), {}), f"{self.where}: {key}")
 
     def numbers(self, key: str, shape: tuple[int | None, ...]) -> Array | None:
-        """Return an array of numbers; None in `shape` is any length."""
+        """Return an array of numbers; None in `shape` stands for any length."""
         value = self.get(key, (list, int, float))
         if value is None:
             return None
@@ -132,12 +132,12 @@ class TomlTable:
         return array
 
     def only(self, keys: Iterable[str]) -> None:
-        """Raise RunError if the table holds a key that is not among `keys`, the complete list."""
+        """Raise RunError if the table holds a key that is not in `keys`, the complete list."""
         self.asked = list(keys)
         self.done()
 
     def done(self) -> None:
-        """Raise RunError if a key was never asked for."""
+        """Raise RunError if a key was never read."""
         unknown = [key for key in self.values if key not in self.asked]
         if unknown:
             raise RunError(f"{self.where}: {no_name('key', unknown[0], self.asked)}")
@@ -151,14 +151,14 @@ def kind(value: object) -> str:
 def shown(value: object) -> str:
     try:
         return str(value)[:40]
-    except ValueError:  # python does not print whole numbers of more than 4300 digits
+    except ValueError:  # Python does not print integers of more than 4300 digits
         return "a number of thousands of digits"
 
 
 def quoted(text: str) -> str:
     """Return a text as a TOML string of one line.
 
-    Characters without a UTF-8 form are written as `?`, as `write_atomically` does.
+    Characters that UTF-8 cannot encode become `?`, as in `write_atomically`.
     """
     plain = (
         text.encode("utf-8", "replace").decode("utf-8").replace("\\", "\\\\").replace('"', '\\"')
@@ -171,7 +171,7 @@ def _escaped(code: int) -> str:
 
 
 def written(value: object) -> str:
-    """Return a text, a number or a list of them as TOML writes it."""
+    """Return a text, a number or a list of them in TOML notation."""
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(written, value))}]"
     if isinstance(value, bool):

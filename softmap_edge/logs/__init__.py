@@ -1,4 +1,4 @@
-"""Any log with a mapping file → run: tables, frames, checks, and a proposed mapping.
+"""Convert logs to runs by a mapping file: tables, frames, checks, and a proposed mapping.
 
-The checks compare the data with what was declared.
+The checks compare the data with the mapping's declarations.
 """

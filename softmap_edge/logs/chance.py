@@ -1,11 +1,9 @@
-"""Estimate the noise of places, and the chance of an exact repetition.
+"""Estimate the noise of positions, and the probability that a measurement repeats exactly.
 
-A new measurement then repeats the one before to the last digit.
-
-Noise shows in differences of fourth order, which change sign from row to row; a smooth motion
-hardly shows in them. If the noise is below the last digit of the file, as of a resting finger with
-coarse digits, a repeat is likely. If it is far above, a repeat is an old value. Pinned by
-tests/logs/test_old_pictures.py.
+An exact repeat equals the previous measurement to the last digit. Noise appears in fourth-order
+differences, which change sign from row to row; smooth motion contributes little to them. If the
+noise is below the last digit of the file, as for a resting finger with coarse digits, repeats are
+likely. If it is far above, a repeat is an old value. Pinned by tests/logs/test_old_pictures.py.
 """
 
 from __future__ import annotations
@@ -15,18 +13,18 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-RARE = 0.01  # repeats by chance that are expected in a log: with fewer, each repeat is an old value
-LEAST = 12  # rows: of fewer no noise is estimated
-ORDER, SPREAD = 4, 70.0  # of the differences, and their variance for noise of variance 1
-MEDIAN = 0.6745  # of the magnitude of normal noise of deviation 1
-FLIPS = 0.65  # share of differences that change sign; 0.8 for noise, far less for a smooth motion
+RARE = 0.01  # expected number of chance repeats in a log; below it, each repeat is an old value
+LEAST = 12  # rows; with fewer, no noise is estimated
+ORDER, SPREAD = 4, 70.0  # order of the differences, and their variance for noise of variance 1
+MEDIAN = 0.6745  # median magnitude of normal noise with standard deviation 1
+FLIPS = 0.65  # share of differences that change sign: 0.8 for noise, far less for smooth motion
 
 
 def is_improbable(columns: Array) -> bool:
-    """Return whether no row of a log repeats the one before by chance.
+    """Return whether chance repeats of the previous row are improbable in a log.
 
     Args:
-        columns: (rows, n) numbers as the file has them, in order of time, NaN where nothing was
+        columns: numbers as in the file, shape (rows, n), in order of time; NaN where nothing was
             seen.
     """
     chance = 1.0
@@ -39,7 +37,7 @@ def is_improbable(columns: Array) -> bool:
 def noise_of(column: Array) -> float:
     """Return the standard deviation of the noise of numbers (rows,).
 
-    It is 0 where they are smooth or mostly the same.
+    It is 0 if they are smooth or mostly equal.
     """
     change = np.diff(column, ORDER)
     change = change[np.isfinite(change)]
@@ -52,6 +50,6 @@ def noise_of(column: Array) -> float:
 
 
 def digit_of(column: Array) -> float:
-    """Return the step of the last digit of numbers (rows,): the least distance of two values."""
+    """Return the last digit's step of numbers (rows,): the smallest difference of two values."""
     step = np.diff(np.unique(column[np.isfinite(column)]))
     return float(step.min()) if len(step) else 0.0

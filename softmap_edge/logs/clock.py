@@ -1,15 +1,13 @@
 """Compute the times of a log's rows in s.
 
-Leave out empty and repeated rows, and handle times that do not increase.
+Empty and repeated rows are left out. A clock that runs backwards is classified:
 
-A clock that runs backwards is classified:
-
-- a *roll-over* falls by 2^16, 2^24 or 2^32 of a unit (or of the counter), or at the full minute,
-  hour or day, so that one step of the usual size explains it; `time.jumps = "mend"` counts on;
-- a *step* is a fall (or leap) of a clock that was set (`set_clock.py`); `"mend"` removes each, and
+- a *roll-over*: time falls by 2^16, 2^24 or 2^32 units (or counts), or at the full minute, hour
+  or day, and one such step explains it. `time.jumps = "mend"` unwraps it;
+- a *step*: the clock was set, so time falls or leaps (`set_clock.py`). `"mend"` removes each step;
   `from_row` and `to_row` cut the log there;
-- rows *out of order* are few; `time.repeated = "drop"` leaves them out, and is offered only if it
-loses few rows.
+- rows *out of order*, if they are few. `time.repeated = "drop"` leaves them out and is offered
+  only if few rows are lost.
 
 Pinned by tests/logs/test_clock.py.
 """
@@ -30,12 +28,12 @@ from softmap_edge.logs.set_clock import Jump, both, returns, set_back, set_forwa
 from softmap_edge.logs.time_keys import TIME, Clock
 from softmap_edge.logs.time_text import DAY, HOUR
 
-FEW = 0.05  # of the rows: the most that may be left out without a warning
-_REGULAR = 0.2  # of the usual step: bound on the jitter of a clock
-# times the 95th percentile of the steps: the longest step that a roll-over may leave
+FEW = 0.05  # of the rows: most that are left out without a warning
+_REGULAR = 0.2  # of the usual step: largest jitter of a regular clock
+# times the 95th percentile of the steps: longest step that a roll-over may leave
 _SLOWEST = 3.0
-BITS = (16, 24, 32)  # of counters that roll over
-_LISTED = 5  # steps of a clock that are named one by one
+BITS = (16, 24, 32)  # bits of counters that roll over
+_LISTED = 5  # steps of a clock that are listed
 
 
 @dataclass(frozen=True)
@@ -45,7 +43,8 @@ class Times:
     Attributes:
         t: (rows,) s, increasing.
         cells: the cells of these rows.
-        notes, doubts: changes that were made, and suspicious findings; a sentence each.
+        notes: a sentence for each change that was made.
+        doubts: a sentence for each suspicious finding.
     """
 
     t: Array
@@ -60,16 +59,15 @@ def times_of(
     """Return the times of the rows of a log.
 
     Args:
-        path: the log, for messages.
+        where: the word for a row in this log: line, frame, message.
         where: the name of a row in this log: line, frame, message.
-        cells: the requested columns.
-        t: (rows,) s as in the log; NaN where there is none.
+        t: (rows,) s as in the log; NaN where missing.
         clock: the time declared by the mapping.
         clocks: which of these columns hold time.
 
     Raises:
-        RunError: a row has values and no time, or time does not increase and the mapping does not
-            declare how to handle it.
+        RunError: a row has values but no time, or time does not increase and the mapping declares
+            no treatment.
     """
     notes: list[str] = []
     doubts: list[str] = []
@@ -117,7 +115,7 @@ def times_of(
 
 
 def kept(cells: Cells, keep: NDArray[np.bool_]) -> Cells:
-    """Return the rows (rows,) to `keep`."""
+    """Return the rows where `keep` (rows,) is true."""
     labels = None if cells.labels is None else cells.labels[keep]
     rows = None if cells.rows is None else cells.rows[keep]
     return replace(
@@ -126,7 +124,7 @@ def kept(cells: Cells, keep: NDArray[np.bool_]) -> Cells:
 
 
 def _leaps(where: str, cells: Cells, row: NDArray[np.int64], leap: Jump | None) -> list[str]:
-    """Return sentences on the leaps of a clock that was set forward."""
+    """Return sentences on forward steps of a clock that was set."""
     lines = []
     for at, size in () if leap is None else zip(leap.rows[:_LISTED], leap.size_s):
         lines.append(
@@ -142,10 +140,10 @@ def _leaps(where: str, cells: Cells, row: NDArray[np.int64], leap: Jump | None) 
 
 
 def increasing(t: Array) -> NDArray[np.bool_]:
-    """Return which rows (rows,) `repeated = "drop"` keeps: those later than every row before.
+    """Return which rows (rows,) `repeated = "drop"` keeps: those later than every earlier row.
 
-    A few times that are far too late (a single wrong stamp) would leave out all rows after them;
-    they are left out instead.
+    A few times that are far too late (wrong stamps) would exclude all following rows, so these
+    times are left out instead.
     """
     fresh = np.asarray(np.r_[True, t[1:] > np.maximum.accumulate(t)[:-1]])
     if fresh.mean() >= 1.0 - FEW:
@@ -187,11 +185,11 @@ def _report_dropped(
 
 # --- roll-overs and steps ------------------------------------------------------------------
 def find_jump(t: Array, clock: Clock) -> Jump | None:
-    """Return the falls of a clock with one cause: a roll-over or a step; None if none has.
+    """Return the falls of a clock if all have one cause, a roll-over or a step; else None.
 
     Args:
         t: (rows,) s.
-        clock: its unit, or the rate of its counter, decides at which sizes it can roll over.
+        clock: its unit, or the rate of its counter, determines possible roll-overs.
     """
     step = np.diff(t)
     rows = np.flatnonzero(step < 0) + 1
@@ -215,7 +213,7 @@ def find_jump(t: Array, clock: Clock) -> Jump | None:
 
 
 def _periods(clock: Clock) -> list[tuple[float, str, bool]]:
-    """Return the periods of roll-overs: s, text, and whether the calendar sets them."""
+    """Return the periods of roll-overs: s, text, and whether the calendar determines them."""
     found = (
         [(2.0**bits * clock.seconds, f"2^{bits} counts") for bits in (8, *BITS)]
         if clock.seconds not in TIME.values()
@@ -234,7 +232,7 @@ def _periods(clock: Clock) -> list[tuple[float, str, bool]]:
 
 
 def counting_on(t: Array, jump: Jump) -> Array:
-    """Return times (rows,) s that count on over the roll-overs of a clock."""
+    """Return the times (rows,) s of a clock, unwrapped over its roll-overs."""
     assert jump.period_s is not None
     turns = np.zeros(len(t))
     turns[jump.rows] = 1.0
@@ -242,12 +240,12 @@ def counting_on(t: Array, jump: Jump) -> Array:
 
 
 def find_steps(t: Array, values: Array, clock: Clock) -> Jump | None:
-    """Return the falls of a clock with one cause, as `find_jump`, or steps of a clock set.
-
-    These are several steps of a clock that was set.
+    """Return the falls of a clock with one cause, as `find_jump`, or several steps of a set clock.
 
     Args:
-        t: (rows,) s. values: (rows, columns) without those of time. clock: as in `find_jump`.
+        t: (rows,) s.
+        values: (rows, columns) without time columns.
+        clock: as in `find_jump`.
     """
     return find_jump(t, clock) or set_back(t, values)
 
@@ -260,7 +258,7 @@ def _mended(
     notes: list[str],
     doubts: list[str],
 ) -> Array:
-    """Return the times without their jumps if one cause explains them."""
+    """Return the times without their jumps if one cause explains all of them."""
     jump = find_steps(t, values, clock)
     if jump is not None and jump.period_s is not None:
         notes.append(
@@ -293,7 +291,7 @@ def _refuse_falls(
     row: NDArray[np.int64],
     clock: Clock,
 ) -> None:
-    """Raise RunError if time does not increase, with the cause and the remedy."""
+    """Raise RunError with cause and remedy if time does not increase."""
     step = np.diff(t)
     late = step < 0 if clock.repeated == "spread" else step <= 0
     if not late.any():
@@ -354,10 +352,10 @@ def _steps(row: NDArray[np.int64], jump: Jump, usual: float) -> str:
 
 
 def spread(t: Array) -> Array:
-    """Return times (rows,) s with the rows of one time spread evenly up to the next time.
+    """Return times (rows,) s with rows of equal time spread evenly up to the next time.
 
-    The last rows follow at the usual step. So do the first rows if they are fewer than usual: the
-    log then began within their time.
+    The last rows continue at the usual step. So do the first rows if they are fewer than usual,
+    because the log then began within their time.
     """
     first = np.flatnonzero(np.r_[True, np.diff(t) > 0])
     count = np.diff(np.r_[first, len(t)])
@@ -374,13 +372,13 @@ def spread(t: Array) -> Array:
 def corrected(
     t_seen: Array, start: float, fast_ppm: float, step: tuple[float, float] | None
 ) -> Array:
-    """Return times of frames (K,) s on the clock of the commands.
+    """Return frame times (K,) s on the clock of the commands.
 
     Args:
         t_seen: (K,) s, on the clock of the frames.
-        start: s, where both clocks agree: the first command.
-        fast_ppm: by how much the clock of the frames runs fast.
-        step: when that clock is set (s, as it shows), and by how much (s); None if it is not.
+        start: s, when both clocks agree: the first command.
+        fast_ppm: rate error of the frames' clock; positive if it runs fast.
+        step: when that clock is set (s, on itself), and by how much (s); None if it is not.
 
     Raises:
         RunError: the frames before and after the step would overlap.
@@ -399,7 +397,7 @@ def corrected(
 
 
 def _gaps(where: str, t: Array, cells: Cells) -> list[str]:
-    """Return sentences on rows that are missing from a regular clock."""
+    """Return sentences on rows missing from a regular clock."""
     step = np.diff(t)
     if len(step) < 10:
         return []
@@ -417,14 +415,14 @@ def _gaps(where: str, t: Array, cells: Cells) -> list[str]:
 
 
 def longest_rise(t: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which rows (rows,) form the longest series of rising times.
+    """Return which rows (rows,) form the longest series of rising times, in O(n log n).
 
-    It is the longest that remains when stray times are taken out; O(n log n).
+    All other rows have stray times.
 
     Args:
         t: (rows,) s, finite.
     """
-    ends: list[float] = []  # the least last time of a rising series of each length
+    ends: list[float] = []  # smallest last time of a rising series of each length
     rows: list[int] = []  # its row
     before = np.full(len(t), -1, np.intp)
     for row, time in enumerate(t.tolist()):

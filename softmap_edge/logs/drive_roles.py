@@ -1,8 +1,8 @@
-"""Order the groups of columns that may be commands or encoders, and leave out those that cannot be.
+"""Sort column groups that may be commands or encoders, and exclude those that cannot be.
 
-Values decide before names: columns that move come before constants, and unit quaternions are no
-encoders. Goals in x, y, z come last, since a controller of places logs them next to the commands of
-its motors. Pinned by tests/logs/test_drive_roles.py.
+Values count more than names: moving columns come before constant ones, and unit quaternions are
+not encoders. Goals in x, y, z come last, because a position controller logs them next to the
+commands of its motors. Pinned by tests/logs/test_drive_roles.py.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from softmap_edge.logs.triples import LeftOut
 
 Array = NDArray[np.float64]
 Pair = tuple[Sheet, Role]
-_UNIT = 1e-2  # of the length of a quaternion: how far it may be from 1
+_UNIT = 1e-2  # allowed deviation of a quaternion's length from 1
 _AXIS = re.compile(r"[xyz]")
 
 
 def drives_of(roles: list[Pair]) -> tuple[list[Pair], list[Pair], list[tuple[Sheet, LeftOut]]]:
-    """Return the groups that may be commands or encoders, the most likely first, and the rest.
+    """Return the possible command or encoder groups, most likely first, and the excluded ones.
 
     Args:
-        roles: the groups of columns of all logs, with their logs.
+        roles: the column groups of all logs, with their logs.
     """
     drives = [pair for pair in roles if pair[1].kind in ("command", "present")]
     left = [
@@ -42,7 +42,7 @@ def drives_of(roles: list[Pair]) -> tuple[list[Pair], list[Pair], list[tuple[She
 
 
 def moves(pair: Pair) -> bool:
-    """Whether one of the columns of a group changes."""
+    """Return whether any column of a group changes."""
     columns = map(pair[0].column, pair[1].columns)
     return any(len(np.unique(values[np.isfinite(values)])) > 1 for values in columns)
 
@@ -56,7 +56,7 @@ def _present_order(pair: Pair) -> tuple[bool, bool, int]:
 
 
 def _in_space(columns: list[str]) -> bool:
-    """Whether columns are called x, y, z of a goal."""
+    """Return whether the columns are named x, y, z of a goal."""
     stems = {_AXIS.sub("#", name.lower()) for name in columns}
     return (
         len(columns) == 3
@@ -67,10 +67,7 @@ def _in_space(columns: list[str]) -> bool:
 
 
 def _no_drive(sheet: Sheet, role: Role) -> str | None:
-    """Return why columns that a name suggests are not commands or encoders; None if possible.
-
-    The name alone suggests them.
-    """
+    """Return why columns are no commands or encoders although their name suggests it; else None."""
     rows = sheet.rows_of(role.columns)
     if not role.sure and role.kind == "present" and not moves((sheet, role)):
         return "constants, for they never change"
@@ -81,14 +78,14 @@ def _no_drive(sheet: Sheet, role: Role) -> str | None:
 
 
 def _quaternion(rows: Array) -> bool:
-    """Whether columns (rows, 4) are unit quaternions that turn."""
+    """Return whether columns (rows, 4) are changing unit quaternions."""
     return is_unit_quaternion(rows) and bool(
         np.ptp(rows[np.isfinite(rows).all(axis=1)], axis=0).any()
     )
 
 
 def is_unit_quaternion(rows: NDArray[np.float64]) -> bool:
-    """Return whether columns are unit quaternions in all rows in which they are known.
+    """Return whether columns are unit quaternions in all rows with known values.
 
     Args:
         rows: (T, C) numbers; NaN where a cell is missing. Only C = 4 can be quaternions.

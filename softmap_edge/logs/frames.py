@@ -1,6 +1,6 @@
-"""From what a log saw to the frames of a run.
+"""Convert the markers of a log to the frames of a run.
 
-Base frame, dropouts, repeated frames, swaps, labels, rates.
+This handles base frame, dropouts, repeated frames, swaps, labels and rates.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from softmap_edge.run.output import output_of
 from softmap_edge.run.plane import AXES, PLANE
 
 Array = NDArray[np.float64]
-_TOLD = 5  # swaps, and markers not seen, that are named one by one
-_SLOW = 25.0  # % of the frames that repeat: the camera is slower than the log
+_TOLD = 5  # swaps, and unseen markers, that are listed
+_SLOW = 25.0  # % of frames that repeat: the camera is slower than the log
 _OF_FRAMES = ("markers", "visible", "block", "base_markers")
 
 
@@ -39,16 +39,18 @@ def seen(
     notes: list[str],
     doubts: list[str],
 ) -> Array | None:
-    """Return the frames' times; `fields` gets markers in base frame, visibility, labels.
+    """Return the frame times; add markers in the base frame, visibility and labels to `fields`.
 
     Args:
-        tables: the logs. mapping: what their columns are.
+        tables: the logs.
+        mapping: the meaning of their columns.
         t: (T,) s, times of the commands in `fields`; None without commands.
         fields: the fields of the run so far.
-        notes: receives changes that were made. doubts: receives suspicious findings.
+        notes: receives changes that were made.
+        doubts: receives suspicious findings.
 
     Raises:
-        RunError: several logs hold markers, no frame shows one, or their unit cannot be right.
+        RunError: several logs hold markers, no frame shows one, or their unit is impossible.
     """
     owners = [
         k for k, log in enumerate(mapping.logs) if log.markers is not None or log.output is not None
@@ -125,7 +127,7 @@ def _without_lost(
     notes: list[str],
     doubts: list[str],
 ) -> LogTable:
-    """Return the table with NaN for places that stand for "not seen", and report them."""
+    """Return the table with NaN at positions that stand for "not seen", and report them."""
     if quantity.not_seen is None:
         return table
     points = table.numbers(quantity.columns).reshape(len(table.t), -1, axes)
@@ -185,9 +187,9 @@ def _tell_base(table: LogTable, base: Quantity, labels: tuple[str, ...], doubts:
 
 
 def _without_shifts(table: LogTable, markers: Quantity, doubts: list[str]) -> LogTable:
-    """Return the table without the places of wrong markers.
+    """Return the table without positions of wrong markers.
 
-    Columns that show another marker get NaN, or the places go to their own columns.
+    Columns that show another marker become NaN, or the positions move to their own columns.
     """
     if markers.not_seen is None:
         return table
@@ -208,10 +210,7 @@ def _without_shifts(table: LogTable, markers: Quantity, doubts: list[str]) -> Lo
 
 
 def _without_swaps(points: Array, t: Array, log: Log, notes: list[str], doubts: list[str]) -> Array:
-    """Return points (K, M, 3) with swapped markers swapped back, or report them.
-
-    The mapping decides which.
-    """
+    """Return points (K, M, 3) with marker swaps corrected, or only reported, as in the mapping."""
     markers = log.markers
     assert markers is not None
     swaps = find_swaps(points, t, markers.labels)
@@ -241,7 +240,7 @@ def _flatten(fields: Document, mapping: Mapping, notes: list[str]) -> None:
 
 
 def _with_numbers(table: LogTable, columns: tuple[Column, ...], numbers: Array) -> LogTable:
-    """Return the table with other numbers (rows, ...) in some columns."""
+    """Return the table with numbers (rows, ...) replaced in some columns."""
     flat = numbers.reshape(len(numbers), -1)
     places = [place(table.path, table.names, column) for column in columns]
     return replace(
@@ -252,10 +251,7 @@ def _with_numbers(table: LogTable, columns: tuple[Column, ...], numbers: Array) 
 def _outputs(
     table: LogTable, log: Log, measured: Measured, fields: Document, notes: list[str]
 ) -> Array:
-    """Return the times of rows with an output; add outputs and labels to `fields`.
-
-    The outputs are carried as markers.
-    """
+    """Return the times of rows with an output; add outputs (as markers) and labels to `fields`."""
     given = np.asarray(np.isfinite(table.numbers(measured.columns)).any(axis=1))
     if not given.any():
         raise RunError(f"{table.path}: no row has an output; check the columns of `output`")
@@ -281,9 +277,9 @@ def _few(lines: list[str]) -> list[str]:
     ]
 
 
-@np.errstate(invalid="ignore")  # a signalling NaN of a damaged file is a NaN like others
+@np.errstate(invalid="ignore")  # a signalling NaN of a damaged file counts as NaN
 def _points(table: LogTable, quantity: Quantity, doubts: list[str], name: str = "markers") -> Array:
-    """Points (K, M, 3) mm in the log's frame; `name` is their key in the mapping."""
+    """Return points (K, M, 3) mm in the log's frame; `name` is their key in the mapping."""
     stated = table.unit(quantity.columns[0])
     stated = stated if stated in LENGTH else None
     if stated is None and quantity.unit != FILE and (quantity.scale == 1.0).all():
@@ -346,16 +342,17 @@ def choose_frames(
     Frames outside the commands are dropped too.
 
     Args:
-        t: (T,) s, of the commands. t_seen: (K,) s, of the frames.
-        fields: the fields of the run; those with an entry for each frame are thinned.
+        t: times of the commands, (T,) s.
+        t_seen: times of the frames, (K,) s.
+        fields: the fields of the run; those with one entry per frame are thinned.
         mapping: gives interval, rate and blocks.
         notes: receives a sentence for each change.
 
     Returns:
-        Array: the times s of the frames that are kept.
+        Array: the times (s) of the frames that are kept.
 
     Raises:
-        RunError: no frame is left.
+        RunError: no frame remains.
     """
     low = max(float(t[0]), mapping.from_s if mapping.from_s is not None else -np.inf)
     high = min(float(t[-1]), mapping.to_s if mapping.to_s is not None else np.inf)
@@ -373,8 +370,7 @@ def choose_frames(
             f"{' to '.join(differing_times(low, high))} s and were dropped"
         )
     if mapping.seen_rate_hz is not None and len(keep) > 1:
-        # the first frame at or after each tick of the clock asked for: even where the log's own
-        # clock jitters
+        # first frame at or after each tick of the requested rate, even if the log's clock jitters
         tick = np.floor((t_seen[keep] - t_seen[keep[0]]) * mapping.seen_rate_hz + 1e-6)
         thinned = keep[np.r_[True, np.diff(tick) > 0]]
         notes.append(f"{len(thinned)} of {len(keep)} frames kept for {mapping.seen_rate_hz:g} Hz")

@@ -1,10 +1,8 @@
-"""Recognise triples of columns that describe a place that was computed, not seen.
+"""Recognise column triples with a desired or computed position, which was not measured.
 
-A controller computes or desires it.
-
-A name such as `target` or `des` marks a desired place. A name such as `sim` or `est` marks a
-computed one, but a log may name what it measured so as well. Values decide then: such a triple
-follows a marker of the log, near it and with its motion. Pinned by tests/logs/test_goals.py.
+A name such as `target` or `des` marks a desired position. A name such as `sim` or `est` marks a
+computed one, but logs also use it for measurements. Then values decide: a computed triple follows
+a marker of the log, near it and with its motion. Pinned by tests/logs/test_goals.py.
 """
 
 from __future__ import annotations
@@ -26,32 +24,32 @@ _COMPUTED = re.compile(
 )
 _SUFFIX = "d"  # of control theory: x and xd
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+|[^\W\d_]+")
-_LEAST = 10  # rows that decide
-_APART = 0.7  # of the motion of a marker: more, and a triple does not follow it
+_LEAST = 10  # rows needed to decide
+_APART = 0.7  # of a marker's motion: a triple that deviates more does not follow it
 
 
 def is_drive(stem: str) -> bool:
-    """Whether the shared part of a triple's names marks a goal or a drive device.
+    """Return whether the shared part of a triple's names marks a goal or a drive.
 
-    It then is no place that was seen.
+    Such a triple is not a measured position.
     """
     return _DEVICE.search(stem) is not None or is_goal(stem)
 
 
 def is_goal(stem: str) -> bool:
-    """Whether what the names of a triple share marks a desired place, and no device."""
+    """Return whether the shared part of a triple's names marks a desired position, not a device."""
     marked = _GOAL.search(stem) is not None or bool(_GOAL_WORDS & set(_words(stem)))
     return marked and _DEVICE.search(stem) is None
 
 
 def is_computed(stem: str, others: Collection[str]) -> bool:
-    """Whether the shared part of names may mark a computed place: `ref`, `sim`, `tip_est`, `xd`.
+    """Return whether a shared name part may mark a computed position: `ref`, `tip_est`, `xd`.
 
-    The place may also be a desired one.
+    The position may also be a desired one.
 
     Args:
-        stem: what its names share.
-        others: what the names of the other triples share.
+        stem: the shared part of the triple's names.
+        others: the shared parts of the other triples' names.
     """
     words = _words(stem)
     rest = [word for word in words if word != _SUFFIX]
@@ -65,12 +63,12 @@ def _words(stem: str) -> list[str]:
 
 
 def follows(points: Array, place: Array) -> bool:
-    """Whether points (rows, 3) move with a place (rows, 3) and near it.
+    """Return whether points (rows, 3) stay near a position (rows, 3) and move with it.
 
-    Their unit may be m where that is mm.
+    Their unit may be m where that of `place` is mm.
 
     Args:
-        points: what is desired or computed.
+        points: the desired or computed positions.
         place: a marker.
     """
     both = np.isfinite(points).all(axis=1) & np.isfinite(place).all(axis=1)

@@ -1,10 +1,10 @@
-"""Propose a mapping for logs without one, and report what was assumed and what a log cannot show.
+"""Propose a mapping for logs without one; report its assumptions and what the logs do not show.
 
-From the header and the ranges: which column is time, which are commands, encoders, markers and
-labels, in which unit; from the markers at rest, which axis of the log is the robot's and where its
-clamp may be. A log does not show the rate of a counter, the spool, gravity and the place of the
-clamp: these are written as assumptions to be replaced. The proposal is imported, and the result is
-a part of the answer. Pinned by tests/logs/test_guess.py.
+Header and ranges identify time, commands, encoders, markers and labels, and their units. The
+markers at rest show which axis of the log is the robot's, and where its clamp may be. A log does
+not show the rate of a counter, the spool, gravity and the position of the clamp: the proposal
+contains assumptions to be replaced. The proposal is then imported, and the answer includes the
+result. Pinned by tests/logs/test_guess.py.
 """
 
 from __future__ import annotations
@@ -54,9 +54,10 @@ class Guess:
     """A proposed mapping.
 
     Attributes:
-        text: the mapping, commented.
-        assumed, unknown: sentences on what was assumed, and on what a log cannot show.
-        said: the result of importing by the proposal: notes, doubts, or why it fails.
+        text: the mapping, with comments.
+        assumed: sentences on the assumptions.
+        unknown: sentences on what a log does not show.
+        said: the result of importing with the proposal: notes, doubts, or the error.
     """
 
     text: str
@@ -68,7 +69,7 @@ class Guess:
         return self.text
 
     def to_dict(self) -> Document:
-        """Return the document softmap.guess/1."""
+        """Return it as a document softmap.guess/1."""
         found = {
             "assumed": list(self.assumed),
             "unknown": list(self.unknown),
@@ -84,7 +85,7 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
         paths: the logs of one recording, of any format that `softmap import` reads.
 
     Raises:
-        RunError: a file cannot be read, or nothing in it looks like commands or markers.
+        RunError: a file cannot be read, or no column resembles commands or markers.
     """
     files = [Path(path) for path in paths]
     found = Found()
@@ -145,7 +146,7 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
 
 
 def _nothing_found(sheets: list[Sheet]) -> RunError:
-    """Return the error that no column has the name of a command or a marker."""
+    """Return the error that no column is named like a command or a marker."""
     seen = "; ".join(
         f"{_called(sheet)}: {', '.join(map(_range_of(sheet), sheet.names))}" for sheet in sheets
     )
@@ -159,9 +160,9 @@ def _nothing_found(sheets: list[Sheet]) -> RunError:
 
 
 def _one_line(comment: str) -> str:
-    """Return a name as one line: a comment must not end within it and go on as keys.
+    """Return a name as one line, so that a comment cannot end within it and continue as keys.
 
-    Names of files and columns may hold anything.
+    Names of files and columns may hold any character.
     """
     return "".join(c if c.isprintable() else " " for c in comment)
 
@@ -179,7 +180,7 @@ def _called(sheet: Sheet) -> str:
 
 
 def _left_out(sheet: Sheet, time: tuple[str, ...], found: Found) -> list[str]:
-    """Name the columns that vary and are not taken, since they are not in the run."""
+    """List the columns that vary but are not part of the run."""
     used = {*time, found.label} | {
         c for pair in found.others if pair[0] is sheet for c in pair[1].columns
     }
@@ -306,7 +307,7 @@ def _seen_places(sheet: Sheet, places: list[list[str]], found: Found) -> list[li
 
 
 def _places(sheet: Sheet, places: list[list[str]]) -> Array:
-    """Return markers (rows, M, 3) of columns, NaN if not seen; z is 0 in a plane."""
+    """Return markers (rows, M, 3) from columns, NaN where not seen; z is 0 in a plane."""
     flat = [name for one in places for name in one]
     points = sheet.rows_of(flat).reshape(len(sheet.numbers), len(places), -1)
     points[not_seen(points).mask] = np.nan
@@ -314,7 +315,7 @@ def _places(sheet: Sheet, places: list[list[str]]) -> Array:
 
 
 def _bare_places(sheets: list[Sheet], found: Found, k: int) -> Triples:
-    """Return the places of a log whose columns have no names."""
+    """Return the positions in a log whose columns have no names."""
     triples = places_by_value(sheets[k], set(found.times[k].columns))
     if triples:
         numbers = ", ".join(" ".join(triple) for triple in triples)
@@ -384,7 +385,7 @@ def _find_drives(sheets: list[Sheet], found: Found) -> None:
 
 
 def _drive_units(found: Found) -> None:
-    """The units of commands and encoders; if one is sure and both move alike, it is both's."""
+    """Set the units of commands and encoders; a certain unit also applies to similar motion."""
     assert found.command is not None
     drives = [("commands", found.command)] + (
         [] if found.present is None else [("encoders", found.present)]
@@ -450,7 +451,7 @@ def _home_in_ticks(rows: Array) -> str:
 
 
 def _alike(one: str, other: str) -> bool:
-    """Whether two units are of one kind."""
+    """Return whether two units measure the same quantity."""
     kinds: tuple[Container[str], ...] = (LENGTH, ANGLE, ("ticks",))
     return one == other or any(one in kind and other in kind for kind in kinds)
 
@@ -461,7 +462,7 @@ def _spread(rows: Array) -> Array:
 
 # --- the frame -----------------------------------------------------------------------------
 def _frame(sheets: list[Sheet], found: Found) -> list[str]:
-    """The lines of [frame]: the robot's axis at rest is z; where the clamp may be."""
+    """Return the lines of [frame]: the robot's axis at rest is z; where the clamp may be."""
     assert found.points is not None
     sheet, triples, unit = found.points
     names = [name for triple in [*triples, *found.base] for name in triple]
@@ -512,7 +513,7 @@ def _frame(sheets: list[Sheet], found: Found) -> list[str]:
 
 
 def _clamp(body: Array, k: int, sign: int) -> tuple[Array, str]:
-    """Where the clamp may be, of markers (M, 3) along axis k, and why there."""
+    """Return the possible clamp position for markers (M, 3) along axis k, and the reason."""
     chord = body[-1] - body[0]
     step = float(np.linalg.norm(chord)) / (len(body) - 1)
     aside = np.linalg.norm(np.cross(body - body[0], chord / np.linalg.norm(chord)), axis=1)
@@ -526,7 +527,7 @@ def _clamp(body: Array, k: int, sign: int) -> tuple[Array, str]:
 
 
 def _rest(sheets: list[Sheet], found: Found, sheet: Sheet, points: Array) -> Array:
-    """The (M, 3) places nearest to home."""
+    """Return the positions (M, 3) nearest to home."""
     if found.command is None:
         return at_rest(np.zeros(1), np.zeros(1), None, points)
     other, role = found.command

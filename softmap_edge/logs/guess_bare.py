@@ -1,9 +1,9 @@
-"""Find places among columns that have no names, by their values alone.
+"""Find positions among columns without names, from their values alone.
 
-Three columns next to each other are a place where a unit quaternion follows them, as in a pose; or
-where they move smoothly and keep a distance from the origin that changes little, as points of a
-robot do, and no other moving column is left over. Commands start at home and do not match. Pinned
-by tests/logs/test_guess_time.py.
+Three adjacent columns are a position if a unit quaternion follows them, as in a pose. They are one
+too if they move smoothly at a nearly constant distance from the origin, as points of a robot do,
+and no other moving column remains. Commands start at home and do not match. Pinned by
+tests/logs/test_guess_time.py.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from softmap_edge.logs.drive_roles import is_unit_quaternion
 from softmap_edge.logs.guess_columns import Sheet
 
 Array = NDArray[np.float64]
-_SMOOTH = 0.35  # of the spread of a column: the usual step between rows
-_STEADY = 0.34  # of the distance from the origin: how far it may change
+_SMOOTH = 0.35  # of the spread of a column: largest usual step between rows
+_STEADY = 0.34  # of the distance from the origin: its largest change
 
 
 def places_by_value(sheet: Sheet, spent: set[str]) -> list[list[str]]:
-    """Return the triples of columns that are places; [] if the values do not decide.
+    """Return the triples of columns that are positions; [] if the values do not decide.
 
     Args:
         sheet: a log without a header.
-        spent: columns that hold something else: time, text.
+        spent: columns with another meaning: time, text.
     """
     free = [name for name in sheet.names if name not in spent and name not in sheet.texts]
     posed = [
@@ -47,7 +47,7 @@ def places_by_value(sheet: Sheet, spent: set[str]) -> list[list[str]]:
 
 
 def _places(sheet: Sheet, names: list[str]) -> list[int]:
-    """Return the positions of columns, relative to the first."""
+    """Return the numbers of columns, counted from the first."""
     at = [sheet.names.index(name) for name in names]
     return [k - at[0] for k in at]
 
@@ -64,7 +64,7 @@ def _quaternion_part(sheet: Sheet, name: str, free: list[str]) -> bool:
 
 
 def _is_place(rows: Array) -> bool:
-    """Whether columns (rows, 3) are a place: smooth, with little change in distance."""
+    """Return whether columns (rows, 3) are a position: smooth, with nearly constant distance."""
     known = rows[np.isfinite(rows).all(axis=1)]
     if len(known) < 10:
         return False

@@ -1,8 +1,8 @@
-"""What columns look like by names and numbers: commands, encoders, markers, labels, units.
+"""Classify columns by names and numbers: commands, encoders, markers, labels, units.
 
-Only the rules that a laboratory's habits give: `x1, y1, z1` are a point; `u3`, `cmd_2` or
-`servo_4_mm` are commands; `phi2` or `present_1` are encoders. Every answer carries the reason that
-is shown to the user. `guess_time.py` finds the time.
+The rules cover common laboratory habits: `x1, y1, z1` are a point; `u3`, `cmd_2` or `servo_4_mm`
+are commands; `phi2` or `present_1` are encoders. Every answer includes the reason shown to the
+user. `guess_time.py` finds the time.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ from softmap_edge.logs.triples import Triples, find_pairs, find_triples
 from softmap_edge.logs.unit_words import LENGTH_WORDS, unit_in_name, unknown_unit
 
 Array = NDArray[np.float64]
-ROWS = 20_000  # of each log that are looked at
-MOST_COLUMNS = 4096  # of each log: names are compared by pairs
-_MOST_LENGTHS = 16  # tables of different lengths of one file of arrays
-_JOINTS = re.compile(r"joint_?states?", re.IGNORECASE)  # a topic, a column or a type of message
+ROWS = 20_000  # rows examined in each log
+MOST_COLUMNS = 4096  # of each log: names are compared pairwise
+_MOST_LENGTHS = 16  # tables of different lengths in one file of arrays
+_JOINTS = re.compile(r"joint_?states?", re.IGNORECASE)  # a topic, a column or a message type
 _LABELS = re.compile(
     r"block|label|segment|trial|phase|pattern|part|condition|experiment", re.IGNORECASE
 )
@@ -59,8 +59,8 @@ _PLACES = re.compile(
 _NO_POINT = re.compile(
     r"rot|orient|quat|vel|acc|gyr|force|torque|imu|mag|twist|unlabel", re.IGNORECASE
 )
-# Roles of groups of columns, the surest words first; each is tried on the name, and on the topic of
-# a recording.
+# roles of column groups, the most certain words first; tried on the name, and on the topic of a
+# recording
 ROLES: tuple[tuple[str, str], ...] = (
     ("current", r"current|(^|_)cur(_|#|$)|amp|_ma$"),
     ("temperature", r"temp|celsius"),
@@ -93,12 +93,12 @@ _UNIT |= {
     "k": "K",
 }
 _UNIT |= {"degc": "degC", "°c": "degC", "c": "degC"}
-TICK_DEG, TICK_RAD = 360.0 / 4096, 2 * np.pi / 4096  # the step of a 12-bit servo
+TICK_DEG, TICK_RAD = 360.0 / 4096, 2 * np.pi / 4096  # step of a 12-bit servo
 
 
 @dataclass(frozen=True)
 class Sheet:
-    """One log, or one topic of a recording: its first rows."""
+    """The first rows of a log, or of one topic of a recording."""
 
     path: Path
     topic: str | None
@@ -107,14 +107,14 @@ class Sheet:
     numbers: Array  # (rows, names); NaN in a column of text
     texts: dict[str, list[str]]
     header: bool = True
-    # the names as they are in the file, where some may be the same
+    # the names in the file, where some may be equal
     bare: list[str] = field(default_factory=list)
-    kind: str = ""  # the type of the messages of a topic
-    file: str = ""  # the `file` of the log in a mapping
-    indexed: bool = False  # brackets at the end of a name hold the number or name of an element
+    kind: str = ""  # message type of a topic
+    file: str = ""  # the log's `file` in a mapping
+    indexed: bool = False  # brackets at the end of a name hold an element's number or name
     episode: int | None = None  # of a dataset
     below: list[str] = field(default_factory=list)  # lines below the table
-    # columns of dates or times, in s, and their form
+    # columns of dates or times: name → format; values in s
     clocks: dict[str, str] = field(default_factory=dict)
     head_line: int | None = None  # the number of the line of a text log that names the columns
     rate_hz: float | None = None  # of its rows, as the lines above the table state it
@@ -131,7 +131,7 @@ class Sheet:
         return np.stack([self.column(name) for name in names], axis=1)
 
     def drop_fills(self, names: list[str]) -> None:
-        """Make numbers of a drive's columns that stand for missing values NaN, in place."""
+        """Replace fill values in drive columns by NaN, in place."""
         for name in names:
             j = self.names.index(name)
             self.numbers[marked_missing(self.numbers[:, j]), j] = np.nan
@@ -139,7 +139,7 @@ class Sheet:
 
 @dataclass
 class Role:
-    """Columns of one kind, their unit, and why they are taken for it."""
+    """Columns of one kind, their unit, and the reason for this classification."""
 
     kind: str
     columns: list[str]
@@ -151,7 +151,7 @@ class Role:
 
 
 def read_sheets(paths: list[Path]) -> list[Sheet]:
-    """Read the first rows of logs, and every topic of a recording that can be decoded.
+    """Read the first rows of logs, and every decodable topic of a recording.
 
     Raises:
         RunError: a file cannot be read.
@@ -160,10 +160,7 @@ def read_sheets(paths: list[Path]) -> list[Sheet]:
 
 
 def _sheets_of(group: list[Part]) -> list[Sheet]:
-    """Return the sheets of a log: one, or one for each topic or length of arrays.
-
-    Topics are those of a recording.
-    """
+    """Return the sheets of a log: one, or one for each topic of a recording or array length."""
     first = group[0]
     if first.kind in RECORDINGS:
         return _sheets_of_recording(group)
@@ -179,7 +176,7 @@ def _sheets_of(group: list[Part]) -> list[Sheet]:
 
 
 def _sheets_of_recording(group: list[Part]) -> list[Sheet]:
-    """Return a sheet for each topic that can be decoded."""
+    """Return a sheet for each decodable topic."""
     path = (
         group[0].given
         if group[0].of_folder or len(group) == 1
@@ -201,7 +198,7 @@ def _sheets_of_recording(group: list[Part]) -> list[Sheet]:
 
 
 def _nothing_readable(path: Path, recorded: list[Topic]) -> RunError:
-    """Return the error that no topic of a recording can be read, with the reason."""
+    """Return the error that no topic of a recording is readable, with the reason."""
     named = ", ".join(f"{topic.name} ({topic.type})" for topic in recorded)[:200] or "none"
     if not any(topic.count for topic in recorded):
         return RunError(f"{path}: holds no message (topics: {named}); give the recording of a run")
@@ -273,7 +270,7 @@ def _sheet(part: Part, columns: Columns, which: list[int]) -> Sheet:
 
 
 def _unique(names: list[str]) -> list[str]:
-    """Return unique names: repeated names get the number of their column."""
+    """Return unique names: the number of the column is appended to repeated names."""
     count = Counter(names)
     return [f"{name} (column {k})" if count[name] > 1 else name for k, name in enumerate(names)]
 
@@ -295,7 +292,7 @@ def stated_of(sheet: Sheet, name: str, known: Collection[str]) -> str | None:
 
 # --- points --------------------------------------------------------------------------------
 def points_of(sheet: Sheet) -> Triples:
-    """Return the triples of columns that are x, y, z of a place, and those that are not.
+    """Return the triples of columns that are x, y, z of a position, and those that are not.
 
     They are in the file's order.
     """
@@ -305,7 +302,7 @@ def points_of(sheet: Sheet) -> Triples:
     used = {name for one in [*found.places, *(left.columns for left in found.left)] for name in one}
     found = replace(found, places=[*found.places, *_elements(sheet, used)])
     bodies = [one for one in found.places if _turns(sheet, one[0])]
-    if len(bodies) > 1:  # markers of a rigid body repeat the pose of the body
+    if len(bodies) > 1:  # markers of a rigid body repeat its pose
         return Triples(bodies, found.left)
     others = [one for one in found.places if one not in bodies]
     if found.places:
@@ -315,14 +312,14 @@ def points_of(sheet: Sheet) -> Triples:
 
 
 def _turns(sheet: Sheet, name: str) -> bool:
-    """Return whether a place has a rotation: then it is of a motion capture's rigid body."""
+    """Return whether a position has a rotation, so belongs to a rigid body of motion capture."""
     return ".x" in name and name.replace(".x", ".rotation.x") in sheet.names
 
 
 def _elements(sheet: Sheet, used: set[str]) -> list[list[str]]:
-    """Return the places among arrays.
+    """Return the positions among arrays.
 
-    They have three columns without another meaning, or 3 M by a name such as markers.
+    These have three columns without another meaning, or 3 M columns and a name such as markers.
     """
     if not sheet.indexed or sheet.topic is not None:
         return []
@@ -346,7 +343,7 @@ def _elements(sheet: Sheet, used: set[str]) -> list[list[str]]:
 
 
 def length_unit(points: Array, stated: str | None) -> tuple[str, str]:
-    """Return the unit of points (K, M, 3), and why."""
+    """Return the unit of points (K, M, 3), and the reason."""
     if stated in LENGTH:
         return "file", f"the file states {stated}"
     flat = points.reshape(-1, 3)
@@ -366,7 +363,7 @@ def length_unit(points: Array, stated: str | None) -> tuple[str, str]:
 
 # --- drives --------------------------------------------------------------------------------
 def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
-    """Return the groups of the other columns that have a meaning, the surest first."""
+    """Return the groups of other columns that have a meaning, the most certain first."""
     groups: dict[str, list[str]] = {}
     for name in sheet.names:
         if name not in spent and name not in sheet.texts and np.isfinite(sheet.column(name)).any():
@@ -412,7 +409,7 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
                     )
                 )
                 break
-    roles.sort(key=lambda pair: pair[0])  # stable: neighbours in the file stay neighbours
+    roles.sort(key=lambda pair: pair[0])  # stable: the file's order is kept
     merged: list[tuple[int, Role]] = []
     for rank, role in roles:
         if merged and merged[-1][0] == rank and _siblings(sheet, merged[-1][1], role):
@@ -423,9 +420,9 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
 
 
 def _by_publisher(sheet: Sheet, groups: dict[str, list[str]]) -> list[tuple[str, list[str]]]:
-    """Return the groups, cut in parts by publisher.
+    """Return the groups, split by publisher.
 
-    Columns of several publishers never hold a number in one row.
+    Columns of different publishers never hold a number in the same row.
     """
     found: list[tuple[str, list[str]]] = []
     for stem, names in groups.items():
@@ -443,7 +440,7 @@ def _by_publisher(sheet: Sheet, groups: dict[str, list[str]]) -> list[tuple[str,
 
 
 def _siblings(sheet: Sheet, one: Role, other: Role) -> bool:
-    """Whether adjacent columns differ only in their last word: `motor_links`, `motor_rechts`."""
+    """Return whether columns differ only in the last word: `motor_links`, `motor_rechts`."""
     place = sheet.names.index(other.columns[0]) - sheet.names.index(one.columns[-1])
     stems = [re.sub(r"[^_]*$", "", role.columns[0].lower()) for role in (one, other)]
     alone = len(other.columns) == 1 and not any(
@@ -453,9 +450,9 @@ def _siblings(sheet: Sheet, one: Role, other: Role) -> bool:
 
 
 def drive_unit(rows: Array, stated: str | None, joint: bool = False) -> tuple[str, str, bool]:
-    """Return the unit of commands or encoders (T, C), why, and if it is sure.
+    """Return the unit of commands or encoders (T, C), the reason, and whether it is certain.
 
-    `joint` are joint states.
+    `joint` states whether they are joint states.
     """
     if stated is not None:
         return stated, f"their name says {stated}", True
@@ -465,7 +462,7 @@ def drive_unit(rows: Array, stated: str | None, joint: bool = False) -> tuple[st
         return "mm", f"they never change (at most {peak:.3g}), and a constant shows no unit", False
     whole = rows[np.isfinite(rows).all(axis=1)]
     for tick, unit in ((TICK_DEG, "deg"), (TICK_RAD, "rad")):
-        steps = (whole - whole[:1]) / tick  # whatever home is
+        steps = (whole - whole[:1]) / tick  # independent of home
         if (
             len(steps) > 1
             and np.abs(steps).max() > 10
@@ -492,7 +489,7 @@ def drive_unit(rows: Array, stated: str | None, joint: bool = False) -> tuple[st
 
 
 def label_of(sheet: Sheet) -> str | None:
-    """Return the column with the part of the protocol that a row belongs to."""
+    """Return the column that labels each row's part of the protocol."""
     for name, texts in sheet.texts.items():
         if not sheet.header or "frame" in name.lower():  # the name of a coordinate frame
             continue

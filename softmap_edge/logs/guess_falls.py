@@ -1,8 +1,7 @@
-"""Propose how to read a time column that falls in some rows; state what is doubtful.
+"""Propose how to read a time column that falls in some rows; report what is doubtful.
 
-A roll-over shows the unit: a counter of 2^32 counts is no time since 1970. Steps of a clock that
-was set are taken out by `jumps = "mend"`. Other falls are left out by `repeated = "drop"` where
-enough rows remain.
+A roll-over shows the unit: a counter of 2^32 is not a time since 1970. `jumps = "mend"` removes
+steps of a clock that was set. `repeated = "drop"` leaves out other falls if enough rows remain.
 
 Pinned by tests/logs/test_guess_falls.py.
 """
@@ -20,20 +19,20 @@ from softmap_edge.logs.set_clock import Jump, usual_step
 from softmap_edge.logs.time_keys import TIME
 
 Array = NDArray[np.float64]
-_LOST = 0.3  # of the rows: more, and leaving them out does not read the log
-_SAME = 3.0  # usual steps: times so near are the same start
-_LISTED = 5  # steps that are named
-_NEAR = 9.0  # usual steps: how near to its period a counter rolls over
+_LOST = 0.3  # of the rows: if more are lost, leaving them out does not read the log
+_SAME = 3.0  # usual steps: times closer together are the same start
+_LISTED = 5  # steps that are listed
+_NEAR = 9.0  # usual steps: distance from its period at which a counter rolls over
 
 
 @dataclass(frozen=True)
 class Treatment:
-    """How a clock that falls is read.
+    """How to read a clock that falls.
 
     Attributes:
-        keys: of the mapping.
-        moves: what the column does, as a part of a sentence.
-        doubt: what is not known, a sentence.
+        keys: keys of the mapping.
+        moves: the behaviour of the column, as a part of a sentence.
+        doubt: what is unknown, as a sentence.
         seconds: (rows,) s as read; they rise nearly throughout.
     """
 
@@ -44,11 +43,11 @@ class Treatment:
 
 
 def treatment(t: Array, jump: Jump | None, name: str) -> Treatment:
-    """Return how a clock that falls in some rows and does not roll over is read.
+    """Return how to read a clock that falls in some rows and does not roll over.
 
     Args:
         t: (rows,) s, finite.
-        jump: the steps of a clock that was set, which explain the falls; None if they do not.
+        jump: the steps of a set clock that explain the falls; None if they do not.
         name: of the column.
     """
     rows = np.flatnonzero(np.diff(t) < 0) + 1
@@ -94,7 +93,7 @@ def treatment(t: Array, jump: Jump | None, name: str) -> Treatment:
 
 
 def _starts_again(t: Array, row: int) -> bool:
-    """Whether a clock goes back to its first time, or to 0."""
+    """Return whether a clock returns to its first time, or to 0."""
     near = _SAME * usual_step(t)
     return bool(abs(t[row] - t[0]) <= near or abs(t[row]) <= near)
 
@@ -106,9 +105,9 @@ def _without_steps(t: Array, rows: NDArray[np.int64]) -> Array:
 
 
 def counts_of_roll(values: Array, usual: float) -> tuple[str, str] | None:
-    """Return the unit of a counter that rolls over, and why; else None.
+    """Return the unit of a counter that rolls over, and the reason; else None.
 
-    It is the unit in which its usual step is that of a robot.
+    In this unit its usual step is that of a robot.
 
     Args:
         values: (rows,) counts, finite.

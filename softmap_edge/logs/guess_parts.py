@@ -1,7 +1,7 @@
-"""Find logs that are parts of one log: files with the same columns that follow one another in time.
+"""Find logs that are parts of one log: files with equal columns that are consecutive in time.
 
-Files with the same columns that overlap in time are other logs, or other recordings of the same
-robot; they stay apart, and the answer names them. Pinned by tests/logs/test_csv_parts.py.
+Files with equal columns that overlap in time are separate logs or other recordings of the same
+robot. They stay separate, and the answer lists them. Pinned by tests/logs/test_csv_parts.py.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from softmap_edge.logs.numbered import without_numbers
 
 
 def joined_parts(sheets: Sequence[Sheet]) -> tuple[list[Sheet], list[str], list[str]]:
-    """Return the sheets with parts of one log as one sheet.
+    """Return the sheets, with the parts of one log joined into one sheet.
 
     Args:
         sheets: the first rows of each log.
 
     Returns:
-        The sheets, sentences on what was joined, and sentences on logs that overlap.
+        The sheets, sentences on what was joined, and sentences on overlapping logs.
     """
     found: list[Sheet] = []
     notes: list[str] = []
@@ -49,7 +49,7 @@ def joined_parts(sheets: Sequence[Sheet]) -> tuple[list[Sheet], list[str], list[
 
 
 def _alike(sheets: Sequence[Sheet]) -> list[list[Sheet]]:
-    """Return the sheets in groups of the same columns, each in its first place."""
+    """Return the sheets in groups of equal columns, each at its first position."""
     count = [sum(other.path == sheet.path for other in sheets) for sheet in sheets]
     found: dict[object, list[Sheet]] = {}
     for k, sheet in enumerate(sheets):
@@ -60,7 +60,7 @@ def _alike(sheets: Sequence[Sheet]) -> list[list[Sheet]]:
 
 
 def _order(group: Sequence[Sheet], times: Sequence[TimeFound]) -> list[int] | None:
-    """Return the order of the parts of one log; None if they are no parts."""
+    """Return the order of the parts of one log; None if they are not parts."""
     if len(group) < 2 or not times[0].columns:
         return None
     if any((one.columns, one.unit) != (times[0].columns, times[0].unit) for one in times):
@@ -72,7 +72,7 @@ def _order(group: Sequence[Sheet], times: Sequence[TimeFound]) -> list[int] | No
 
 
 def _overlap(group: Sequence[Sheet], times: Sequence[TimeFound]) -> list[str]:
-    """Return the sentence on equally named logs that overlap in time; none for a single log."""
+    """Return the sentence on equally named logs that overlap in time; empty for a single log."""
     if len(group) < 2 or not group[0].header or not times[0].columns:
         return []
     names = " and ".join(sheet.path.name for sheet in group)
@@ -84,7 +84,7 @@ def _overlap(group: Sequence[Sheet], times: Sequence[TimeFound]) -> list[str]:
 
 
 def _one(group: Sequence[Sheet], others: Sequence[str]) -> Sheet:
-    """Return the parts of one log as one sheet, of as many of their first rows as are looked at."""
+    """Return the parts of one log as one sheet, up to the number of rows examined."""
     taken: list[Sheet] = []
     for sheet in group:
         if sum(len(one.numbers) for one in taken) < ROWS:
@@ -98,7 +98,7 @@ def _one(group: Sequence[Sheet], others: Sequence[str]) -> Sheet:
 
 
 def _pattern(names: Sequence[str], others: Sequence[str]) -> str | None:
-    """Return a pattern that fits some file names and none of the others; None if there is none."""
+    """Return a pattern that matches these file names and none of the others; else None."""
     by_number = {without_numbers(glob.escape(name), "*") for name in names}
     start = os.path.commonprefix(list(names))
     end = os.path.commonprefix([name[len(start) :][::-1] for name in names])[::-1]

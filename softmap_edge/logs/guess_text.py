@@ -1,4 +1,4 @@
-"""Writes a mapping that is proposed: what was found of a log as commented TOML."""
+"""Write a proposed mapping as commented TOML."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from softmap_edge.logs.mapping import ANGLE, LENGTH, SCHEMA
 from softmap_edge.logs.triples import LeftOut
 
 Array = NDArray[np.float64]
-MANY = 5000  # frames: a diagnosis needs no more, and takes longer
+MANY = 5000  # frames: enough for a diagnosis; more take longer
 SEEN_HZ = 20
 
 
 @dataclass
 class Found:
-    """What is known so far."""
+    """The findings so far."""
 
     assumed: list[str] = field(default_factory=list)
     unknown: list[str] = field(default_factory=list)
@@ -29,14 +29,14 @@ class Found:
     others: list[tuple[Sheet, Role]] = field(default_factory=list)
     points: tuple[Sheet, list[list[str]], str] | None = None
     base: list[list[str]] = field(default_factory=list)  # markers on the clamp
-    # columns in threes that are no place
+    # triples of columns that are not a position
     left: list[tuple[Sheet, LeftOut]] = field(default_factory=list)
     label: str | None = None
     times: dict[int, TimeFound] = field(default_factory=dict)
 
 
 def mapping_text(sheets: list[Sheet], found: Found, frame: list[str]) -> str:
-    """Return the mapping of what was found, with the lines of the frame of its markers."""
+    """Return the mapping, with the lines of the marker frame."""
     files = len({sheet.file for sheet in sheets}) + any(sheet.parts > 1 for sheet in sheets)
     lines = [f'schema = "{SCHEMA}"', '# robot = "…"   # a name']
     unit = found.command[1].unit if found.command is not None else None

@@ -1,9 +1,9 @@
-"""Find the time of a log: a column, seconds and nanoseconds, date and time, or nothing.
+"""Find the time of a log: one column, seconds and nanoseconds, date and time, or none.
 
-A column whose cells are dates or times always counts. Otherwise a column counts if it rises
-throughout and has the name of a time, or is the first. A clock that falls counts if one roll-over
-or one step explains it. Full seconds that repeat are completed by the fraction next to them: of the
-same name, or because it falls only where they rise. Pinned by tests/logs/test_guess_time.py.
+A column of dates or times always counts. Any other column counts if it rises throughout and is
+named like a time or comes first. A clock that falls counts if one roll-over or one step explains
+it. Full seconds that repeat are completed by the fraction next to them, which has the same name or
+falls only where they rise. Pinned by tests/logs/test_guess_time.py.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ _FRACTION = {
     "us": re.compile(r"(micro_?sec(onds|s)?|u_?secs?|us)$", re.IGNORECASE),
     "ms": re.compile(r"(milli_?sec(onds|s)?|m_?secs?|ms)$", re.IGNORECASE),
 }
-_FALLS = 0.1  # of the rows: more falls than that, and a column is no clock
-_DAYS = ((2e4, 8e4), (7e5, 8e5))  # of dates since about 1955, as spreadsheets and Matlab count days
+_FALLS = 0.1  # of the rows: a column that falls more often is not a clock
+_DAYS = ((2e4, 8e4), (7e5, 8e5))  # dates from about 1955 on, in days of spreadsheets and Matlab
 _COARSE = 0.05  # of the rows share a time: another column may be finer
 
 
@@ -47,13 +47,13 @@ class TimeFound:
 
     Attributes:
         columns: its columns; empty if only the rows count.
-        unit: of the first column: of `TIME`, `rows` for a counter, `stated` at a rate that the file
-            states, or `none`.
+        unit: of the first column: a unit of `TIME`, `rows` for a counter, `stated` at a rate given
+            in the file, or `none`.
         why: the reason, as a part of a sentence.
         line: the proposed `time` of the mapping.
         seconds: (rows,) s.
-        calendar: whether it counts since 1970, or since midnight.
-        doubt: a sentence on times that do not rise; empty without any.
+        calendar: whether it counts from 1970 or from midnight.
+        doubt: a sentence on times that do not rise; else empty.
     """
 
     columns: tuple[str, ...]
@@ -104,7 +104,7 @@ def _known(sheet: Sheet, name: str) -> Array:
 
 
 def cell(sheet: Sheet, name: str) -> str:
-    """Return a column as in a mapping: by number without a header or if its name repeats."""
+    """Return a column as in a mapping: by number without a header, or if its name repeats."""
     k = sheet.names.index(name)
     if (
         not sheet.header
@@ -117,7 +117,7 @@ def cell(sheet: Sheet, name: str) -> str:
 
 # --- one column ----------------------------------------------------------------------------
 def _single(sheet: Sheet) -> str | None:
-    """The column that is time by itself."""
+    """Return the column that is time by itself."""
     dated = [
         name for name in sheet.clocks if len(known := _known(sheet, name)) > 1 and np.ptp(known) > 0
     ]
@@ -149,10 +149,10 @@ def _single(sheet: Sheet) -> str | None:
 
 
 def _broken_counts(sheet: Sheet, name: str) -> NDArray[np.bool_]:
-    """Return which values of a column that is named as a counter are no whole numbers.
+    """Return which values of a column named like a counter are not whole numbers.
 
-    A column with whole numbers in fewer than half of its rows is no counter: it is left to its
-    values, but for one of frames.
+    A column with whole numbers in fewer than half of its rows is not a counter and is classified by
+    its values, except a frame column.
     """
     known = _known(sheet, name)
     if not (len(known) and sheet.header and _called_so(sheet, name, _COUNTERS)):
@@ -163,18 +163,18 @@ def _broken_counts(sheet: Sheet, name: str) -> NDArray[np.bool_]:
 
 
 def _bare(name: str) -> str:
-    """A name without its unit in brackets."""
+    """Return a name without its unit in brackets."""
     return re.sub(r"[\[(].*?[\])]", "", name).strip()
 
 
 def _coarse(sheet: Sheet, name: str) -> bool:
-    """Whether many rows share a time with the row before."""
+    """Return whether many rows have the time of the previous row."""
     known = _known(sheet, name)
     return len(known) > 1 and bool((np.diff(known) == 0).mean() > _COARSE)
 
 
 def _unread(sheet: Sheet) -> tuple[str, str, bool] | None:
-    """A text column named like a time, its content, and if most cells are numbers or times."""
+    """Return a text column named like a time, its content, and whether most cells can be read."""
     for name, texts in sheet.texts.items():
         filled = [text for text in texts if text]
         if filled and sheet.header and TIME_NAME.search(_bare(last_of(sheet, name))):
@@ -199,7 +199,7 @@ def _rises(known: Array) -> bool:
 
 
 def _falls(sheet: Sheet, name: str) -> bool:
-    """Whether a column rises but for a few falls that a roll-over or one step explains."""
+    """Return whether a column rises, except for a few falls of a roll-over or one step."""
     known = _known(sheet, name)
     step = np.diff(known)
     if len(known) < 10 or not 0 < (step < 0).mean() <= _FALLS or (step == 0).mean() > 0.5:
@@ -209,20 +209,20 @@ def _falls(sheet: Sheet, name: str) -> bool:
 
 
 def _strays(sheet: Sheet, name: str) -> bool:
-    """Whether a column called as time is rises but for a few falls of any kind."""
+    """Return whether a column named like a time rises except for a few falls of any kind."""
     step = np.diff(_known(sheet, name))
     few = len(step) >= 10 and bool((step < 0).mean() <= _FALLS and (step > 0).mean() > 0.5)
     return few and _called_so(sheet, name, TIME_NAME)
 
 
 def _called_so(sheet: Sheet, name: str, pattern: re.Pattern[str]) -> bool:
-    """Whether a column has the name of a time, or of a pattern."""
+    """Return whether a column is named like a time, or matches a pattern."""
     last = _bare(last_of(sheet, name))
     return pattern.search(last) is not None or (pattern is TIME_NAME and is_time_unit(last))
 
 
 def _ticks_evenly(values: Array) -> bool:
-    """Whether numbers rise by nearly equal steps, as a clock does under whatever name."""
+    """Return whether numbers rise by nearly equal steps, as a clock of any name does."""
     step = np.diff(values[np.isfinite(values)])
     usual = float(np.median(step))
     return usual > 0 and bool((np.abs(step - usual) < 0.5 * usual).mean() > 0.9)
@@ -289,13 +289,13 @@ def _like_digits(known: Array) -> bool:
 
 
 def _repeated(known: Array) -> list[str]:
-    """Return the keys of the mapping for rows that share a time."""
+    """Return the mapping's keys for rows that share a time."""
     same = (np.diff(known) == 0).mean() if len(known) > 1 else 0.0
     return ['repeated = "spread"'] if same > 0.05 else ['repeated = "drop"'] if same > 0 else []
 
 
 def _scale(sheet: Sheet, name: str) -> tuple[float, tuple[str, str]]:
-    """The s of one unit of a column, the unit (`rows` of a counter), and why."""
+    """Return the s per unit of a column, the unit (`rows` for a counter), and the reason."""
     if name in sheet.clocks:
         what = "times of day" if sheet.clocks[name] == "day" else "dates"
         return 1.0, ("s", f"it holds {what}, read as seconds")
@@ -348,7 +348,7 @@ def _of_pair(sheet: Sheet, names: tuple[str, str], units: tuple[str, str], why: 
 
 
 def _date_and_day(sheet: Sheet) -> tuple[tuple[str, str], tuple[str, str], str] | None:
-    """A column of dates, and one of times of day."""
+    """Return a column of dates and one of times of day."""
     days = [name for name, form in sheet.clocks.items() if form == "day"]
     dates = [
         name
@@ -361,7 +361,7 @@ def _date_and_day(sheet: Sheet) -> tuple[tuple[str, str], tuple[str, str], str] 
 
 
 def _seconds_and_fraction(sheet: Sheet) -> tuple[tuple[str, str], tuple[str, str], str] | None:
-    """Full seconds, and the fraction of a second in another column."""
+    """Return a column of full seconds, and one with the fraction of a second."""
     for full in sheet.names:
         stem = _WHOLE.sub("", full)
         if not sheet.header or stem == full or full in sheet.texts:
@@ -392,7 +392,7 @@ def _seconds_and_fraction(sheet: Sheet) -> tuple[tuple[str, str], tuple[str, str
 
 
 def _completes(full: Array, fraction: Array, seconds: float) -> bool:
-    """Whether two integer columns are seconds that do not fall and a fraction of a second."""
+    """Return whether two integer columns are non-decreasing seconds and a fraction of a second."""
     if len(full) != len(fraction) or len(full) < 2 or not (np.rint(full) == full).all():
         return False
     if (
@@ -405,7 +405,7 @@ def _completes(full: Array, fraction: Array, seconds: float) -> bool:
 
 
 def _turns(full: Array, fraction: Array, seconds: float) -> bool:
-    """Whether the fraction falls only where the seconds rise, and fills most of a second."""
+    """Return whether the fraction falls only where the seconds rise, and spans most of a second."""
     falls, rises = np.diff(fraction) < 0, np.diff(full) > 0
     repeats = (np.diff(full) == 0).mean() > 0.3
     step = np.diff(full + fraction * seconds)

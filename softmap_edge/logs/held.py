@@ -1,14 +1,14 @@
 """Find, report and remove samples that repeat because they are read more slowly than logged.
 
-A held encoder lags by half its period on average; it is un-held by a straight line between the rows
-where a new value arrives. Longer stillness stays stillness: only gaps up to three typical holds are
-bridged, and nothing is done when the typical hold is over 0.25 s, for that is a robot at rest. Slow
-moves of a coarse encoder repeat as well, but without a beat: new values must be evenly spaced.
-Channels read in turn (a bus that asks one motor a row) are un-held one by one. A frame of markers
-that repeats the one before bit for bit is an old picture if the noise makes a repeat improbable
-(`chance.py`), or if new pictures come at a beat and move by more than the digits of the file. It is
-left out, unless it stays longer than 0.25 s. A resting finger with coarse digits repeats itself as
-well; its frames stay. Pinned by tests/logs/test_import_held.py and tests/logs/test_old_pictures.py.
+A held encoder lags by half its period on average. It is reconstructed by straight lines between
+the rows where new values arrive. Real rest is kept: only gaps up to three typical holds are
+bridged, and a typical hold over 0.25 s means a robot at rest. Slow motion of a coarse encoder also
+repeats, but irregularly, so new values must be evenly spaced. Channels read in turn (a bus that
+asks one motor per row) are reconstructed separately. A frame of markers that repeats the previous
+one bit for bit is an old picture if the noise makes a repeat improbable (`chance.py`), or if new
+pictures arrive regularly and differ by more than the digits of the file. It is left out, unless it
+lasts longer than 0.25 s. A resting finger with coarse digits also repeats; its frames are kept.
+Pinned by tests/logs/test_import_held.py and tests/logs/test_old_pictures.py.
 """
 
 from __future__ import annotations
@@ -21,32 +21,32 @@ from numpy.typing import NDArray
 from softmap_edge.logs.chance import digit_of, is_improbable
 
 Array = NDArray[np.float64]
-DIGITS = 2.0  # of the file: new pictures of a slow camera move by more
-CATCHES_UP = 2.0  # of the usual moves: what a camera that stood still moves by afterwards
-LONGEST_HOLD = 0.25  # s: an encoder polled more slowly than 4 Hz is not worth un-holding
-_FRESH = 0.7  # of the rows: with more new values than this, repeats are chance
-_FEW = 10  # frames: too few to distinguish an old picture from a made-up log
-_EVEN = 0.8  # of the gaps between new values lie within a row of a multiple of the typical one
+DIGITS = 2.0  # digits of the file: new pictures of a slow camera differ by more
+CATCHES_UP = 2.0  # usual moves: jump after a frozen camera resumes
+LONGEST_HOLD = 0.25  # s: an encoder polled more slowly than 4 Hz is not reconstructed
+_FRESH = 0.7  # of the rows: with a larger share of new values, repeats are chance
+_FEW = 10  # frames: too few to distinguish an old picture from a synthetic log
+_EVEN = 0.8  # of the gaps between new values are within a row of a multiple of the typical gap
 
 
 @dataclass(frozen=True)
 class Held:
     """What was held: the typical time between new values, and the share of repeated rows.
 
-    The time is in s, 0 when nothing was held.
+    The time is in s; 0 if nothing was held.
     """
 
     hold_s: float = 0.0
     share: float = 0.0
-    in_turn: bool = False  # channels are read one after the other
+    in_turn: bool = False  # whether channels are read one after the other
 
     def __str__(self) -> str:
         return self.text()
 
     def text(self, beat: str | None = None) -> str:
-        """Return what was held, with the time between new values.
+        """Return a sentence on what was held, with the time between new values.
 
-        `beat` stands for it in a log without time.
+        `beat` replaces this time in a log without time.
         """
         how = "each channel in turn " if self.in_turn else ""
         beat = beat or f"every {self.hold_s * 1e3:.0f} ms"
@@ -54,13 +54,14 @@ class Held:
 
 
 def unhold(t: Array, rows: Array) -> tuple[Array, Held]:
-    """Replace held samples by the line between the rows where new values arrive.
+    """Replace held samples by lines between the rows where new values arrive.
 
     Args:
-        t: (T,) s. rows: (T, C).
+        t: (T,) s.
+        rows: (T, C).
 
     Returns:
-        The rows un-held, and what was held.
+        The reconstructed rows, and what was held.
     """
     if len(rows) < 3 or rows.shape[1] == 0:
         return rows, Held()
@@ -82,37 +83,38 @@ def unhold(t: Array, rows: Array) -> tuple[Array, Held]:
 
 
 def _knots(t: Array, fresh: NDArray[np.int64]) -> tuple[NDArray[np.int64] | None, float]:
-    """The rows to draw lines between, and the typical hold in s; None if nothing is held."""
+    """Return the rows to connect by lines, and the typical hold (s); None if nothing is held."""
     if len(fresh) < 3 or len(fresh) > _FRESH * len(t):
         return None, 0.0
     gaps = np.diff(fresh)
     typical, hold = int(np.median(gaps)), float(np.median(np.diff(t[fresh])))
     if typical < 2 or hold > LONGEST_HOLD or not _on_a_beat(gaps):
         return None, 0.0
-    # the value really stayed: keep it until one hold before the next
+    # the value did not change: keep it until one hold before the next
     still = np.flatnonzero(gaps > 3 * typical)
     return np.union1d(fresh, fresh[still + 1] - typical), hold
 
 
 def _on_a_beat(gaps: NDArray[np.int64]) -> bool:
-    """Whether new values follow a clock.
+    """Return whether new values arrive at regular intervals.
 
-    Otherwise they come as a slow move passes the steps of an encoder.
+    Otherwise slow motion passes the steps of an encoder.
     """
     typical = int(np.median(gaps))
-    slack = 0 if typical < 4 else 1  # of a beat of 3 rows every gap is within one
+    slack = 0 if typical < 4 else 1  # with a beat of 3 rows, every gap is within one
     return bool((np.abs(gaps - typical * np.rint(gaps / typical)) <= slack).mean() >= _EVEN)
 
 
 def repeated_frames(t: Array, points: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Find frames that are the one before once more.
+    """Find frames that repeat the previous one.
 
     Args:
-        t: (K,) s. points: (K, ...) coordinates, NaN where nothing was seen.
+        t: (K,) s.
+        points: (K, ...) coordinates, NaN where nothing was seen.
 
     Returns:
-        Two (K,) masks: old pictures of a hold of at most 0.25 s, and frames of longer stillness
-        that only a camera that stood still or a simulation explains.
+        Two (K,) masks: old pictures of a hold of at most 0.25 s, and frames of longer rest that
+        only a frozen camera or a simulation explains.
     """
     flat = points.reshape(len(points), -1)
     same = (flat[1:] == flat[:-1]) | (np.isnan(flat[1:]) & np.isnan(flat[:-1]))
@@ -129,10 +131,7 @@ def repeated_frames(t: Array, points: Array) -> tuple[NDArray[np.bool_], NDArray
 
 
 def _beyond_digits(flat: Array, first: NDArray[np.int64]) -> bool:
-    """Return whether many new pictures differ from those before by more than the digits.
-
-    They are at rows `first`.
-    """
+    """Return whether many new pictures, at rows `first`, differ by more than the digits."""
     digit = np.array([digit_of(column) for column in flat.T])
     moved = np.nan_to_num(np.abs(np.diff(flat[first], axis=0))) > DIGITS * digit
     return bool((moved & (digit > 0)).any(axis=1).mean() > 0.1)
@@ -141,7 +140,7 @@ def _beyond_digits(flat: Array, first: NDArray[np.int64]) -> bool:
 def _catches_up(
     flat: Array, first: NDArray[np.int64], ends: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
-    """Return for each row whether a longer move than usual follows its picture.
+    """Return for each row whether a move longer than usual follows its picture.
 
     The picture is shown from `first` to `ends`.
     """

@@ -1,16 +1,14 @@
-"""Find markers that stand still to the last digit while the robot moves.
+"""Find markers whose position is frozen to the last digit while the robot moves.
 
-A tracker then repeats the last place.
-
-A marker that repeats its place is compared with the other markers. Its place is predicted from each
-of them by least squares over the frames in which it is fresh. If its noise makes a repeat
-improbable (`chance`), each repeat counts in which another marker is fresh. If most predictions move
-on, far beyond their error and the digits of the file, the marker was lost. If all markers stand
-still together while the commands move, they were lost in a recording with noise: no sensor repeats
-its noise, but a simulation in a play does. In a recording without noise they were lost if they jump
-afterwards to where the commands brought them: a body that leaves a play or a stop does not jump.
-Limit: a marker that is lost while the robot rests is not found, which is harmless. Pinned by
-tests/logs/test_not_seen.py.
+The tracker has lost such a marker and repeats its last position. Each repeating marker is compared
+with the others: its position is predicted from each of them by least squares over the frames in
+which it is new. If its noise makes a repeat improbable (`chance`), all repeats count in which
+another marker is new. If most predictions move, far beyond their error and the digits of the file,
+the marker was lost. If all markers freeze together while the commands move, the noise decides. In
+a noisy recording they were lost, because no sensor repeats its noise, while a simulation within a
+play does. In a recording without noise they were lost if they jump afterwards to their commanded
+positions, because a body that leaves a play or a stop does not jump. Limit: a marker lost while the
+robot rests is not found, which is harmless. Pinned by tests/logs/test_not_seen.py.
 """
 
 from __future__ import annotations
@@ -26,33 +24,33 @@ from softmap_edge.logs.chance import is_improbable
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-LEAST = 2  # repetitions of all markers in a row: a coarse picture may be the same twice
-BEYOND = 5.0  # of the error of the prediction, RMS, and of the digits of the file
-MOVED = 0.02  # of the extent of the marker, likewise
-PART = 0.2  # of the frames of a stretch in which that is so
-OTHERS = 4  # markers from which a place is predicted
-ROWS = 4  # fresh frames for each column of the prediction
+LEAST = 2  # consecutive repeats of all markers: a coarse picture may occur twice
+BEYOND = 5.0  # times the RMS error of the prediction, and the digits of the file
+MOVED = 0.02  # of the extent of the marker: the least such motion
+PART = 0.2  # of the frames of a stretch that must show it
+OTHERS = 4  # markers from which a position is predicted
+ROWS = 4  # new frames for each column of the prediction
 MOST = 20_000  # frames of a fit
 DRIVEN = 0.05  # of the range of a command
-SQUARES = 6  # commands, up to which a place is predicted by their products too
+SQUARES = 6  # commands; up to here their products also predict a position
 SLOW = 0.5  # of the new pictures that repeat: the camera is slower than the log
-NOISY = 0.02  # of the pairs of frames outside that repeat: a recording with noise has no more
+NOISY = 0.02  # of the frame pairs outside that repeat: a noisy recording has no more
 
 
 @dataclass(frozen=True)
 class Held:
-    """Frames (n,) in which marker `marker` repeats its last place while the robot moves."""
+    """Frames (n,) in which marker `marker` repeats its last position while the robot moves."""
 
     marker: int
     frames: NDArray[np.intp]
 
 
 def held_places(points: Array, u: Array | None) -> list[Held]:
-    """Find the frames in which a marker was lost and its last place repeated.
+    """Find the frames in which a lost marker repeats its last position.
 
     Args:
-        points: (K, M, D), NaN where nothing was seen. u: (K, C) commands, each in its range; None
-            where unknown.
+        points: (K, M, D), NaN where nothing was seen.
+        u: (K, C) commands relative to their ranges; None if unknown.
     """
     if len(points) < 2:
         return []
@@ -63,7 +61,7 @@ def held_places(points: Array, u: Array | None) -> list[Held]:
 
 
 def _runs(again: Mask, least: int) -> Iterator[tuple[int, int]]:
-    """Yield each stretch of `least` or more (K,): its first repetition, the frame after it."""
+    """Yield each stretch of at least `least` repeats: its first, and the frame after it."""
     edges = np.flatnonzero(np.diff(np.r_[False, again, False].astype(int)))
     for first, end in edges.reshape(-1, 2):
         if end - first >= least:
@@ -71,7 +69,7 @@ def _runs(again: Mask, least: int) -> Iterator[tuple[int, int]]:
 
 
 def _against_others(points: Array, again: Mask, m: int) -> Iterator[Held]:
-    """Yield where one marker stands still although most other markers show that it moves."""
+    """Yield where one marker is frozen although most other markers indicate motion."""
     rows = np.flatnonzero(again[:, m])
     if not len(rows) or points.shape[1] < 2:
         return
@@ -82,7 +80,7 @@ def _against_others(points: Array, again: Mask, m: int) -> Iterator[Held]:
             yield Held(m, rows)
         return
     fresh = known[:, m] & ~again[:, m]
-    # where each place is new
+    # where each position is new
     since = np.maximum.accumulate(np.where(again[:, m], 0, np.arange(len(points))))[rows]
     least = max(
         BEYOND * _digit(points[fresh, m]),
@@ -103,7 +101,7 @@ def _against_others(points: Array, again: Mask, m: int) -> Iterator[Held]:
 
 
 def _others(known: Mask, again: Mask, m: int) -> list[int]:
-    """Return the nearest markers of the list that do not stand still whenever marker `m` does."""
+    """Return the nearest listed markers that are not always frozen together with marker `m`."""
     order = [
         int(n) for n in np.argsort(np.abs(np.arange(known.shape[1]) - m), kind="stable") if n != m
     ]
@@ -112,9 +110,9 @@ def _others(known: Mask, again: Mask, m: int) -> list[int]:
 
 
 def _fitted(columns: Array, places: Array, there: Mask, fresh: Mask) -> tuple[Array | None, float]:
-    """Return places (K, D) by a linear fit to the columns (K, n), and its RMS error.
+    """Return positions (K, D) from a linear fit to the columns (K, n), and its RMS error.
 
-    The fit is in fresh frames; NaN in all other frames.
+    The fit uses new frames; all other frames are NaN.
     """
     fit = there & fresh
     if fit.sum() < ROWS * (columns.shape[1] + 1):
@@ -129,17 +127,17 @@ def _fitted(columns: Array, places: Array, there: Mask, fresh: Mask) -> tuple[Ar
 
 
 def _digit(places: Array) -> float:
-    """Return the last digit's step of places (n, D): the least distance of two numbers."""
+    """Return the last digit's step of positions (n, D): the smallest difference of two numbers."""
     steps = [np.diff(np.unique(column)) for column in places.T]
     found = [float(step.min()) for step in steps if len(step)]
     return max(found, default=0.0)
 
 
 def _against_commands(points: Array, again: Mask, u: Array | None) -> list[Held]:
-    """Return where all visible markers stand still while the commands move.
+    """Return where all visible markers are frozen while the commands move.
 
-    In a recording without noise, the markers must also jump afterwards to where the commands have
-    brought them.
+    In a recording without noise, the markers must also jump afterwards to their commanded
+    positions.
     """
     known = np.asarray(np.isfinite(points).all(axis=2), np.bool_)
     frozen = np.asarray(again.any(axis=1) & (again | ~known).all(axis=1), np.bool_)
@@ -160,9 +158,9 @@ def _against_commands(points: Array, again: Mask, u: Array | None) -> list[Held]
 
 
 def _noisy(frozen: Mask, stretches: list[tuple[int, int]], u: Array) -> bool:
-    """Whether the recording has noise.
+    """Return whether the recording has noise.
 
-    Outside the stretches no picture repeats, nor while the commands stand still.
+    Then no picture repeats outside the stretches, not even while the commands rest.
     """
     outside = np.ones(len(frozen), bool)
     for a, b in stretches:
@@ -179,10 +177,7 @@ def _noisy(frozen: Mask, stretches: list[tuple[int, int]], u: Array) -> bool:
 def _jumped(
     places: Array, fresh: Mask, stretches: list[tuple[int, int]], u: Array
 ) -> Iterator[tuple[int, int]]:
-    """Yield stretches after which a marker (K, D) jumps to its commanded place.
-
-    The commands have brought it there meanwhile.
-    """
+    """Yield stretches after which a marker (K, D) jumps to its commanded position."""
     squares = np.column_stack(
         [u, *(u[:, i] * u[:, j] for i in range(u.shape[1]) for j in range(i + 1))]
     )

@@ -1,11 +1,11 @@
-"""Turn the logs of any robot into a run by a small TOML mapping (columns, units, axes, rates).
+"""Convert the logs of any robot to a run with a small TOML mapping (columns, units, axes, rates).
 
 `read_mapping(path)` checks the mapping. `import_logs(paths, mapping)` returns the run, with a
-sentence for each change and for each suspicious finding. Several logs are joined by time. The rows
-of the log that holds the commands become the rows of the run. Other recorded signals are
-interpolated to their times; frames keep their own times. A row without a command is left out
-(commands are linear between rows); a cell without a value in another column is interpolated.
-tests/test_import*.py pin all of it; docs/reference/mapping.md lists the keys.
+sentence for each change and each suspicious finding. Several logs are joined by time. The rows of
+the log with the commands become the rows of the run. Other recorded signals are interpolated to
+their times; frames keep their own times. A row without a command is left out, because commands are
+linear between rows. A missing cell in another column is interpolated. Pinned by
+tests/test_import*.py; docs/reference/mapping.md lists the keys.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ _TO_SI = {"g": 1.0, "kg": 1000.0, "N": 1000.0 / _core.STANDARD_GRAVITY, "mA": 1.
 
 @dataclass(frozen=True)
 class Imported:
-    """A run, with sentences on each change made, suspicious finding and damage of its logs."""
+    """A run, with sentences on each change, suspicious finding and damage of its logs."""
 
     run: Run
     notes: tuple[str, ...]
@@ -63,15 +63,15 @@ class Imported:
 
 
 def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Imported:
-    """Read logs by a mapping; issue a `RecordingWarning` for each log that is damaged or was cut.
+    """Read logs with a mapping; issue a `RecordingWarning` for each damaged or truncated log.
 
     Args:
-        paths: the logs, or folders of a recording; the mapping identifies them by their names.
+        paths: the logs, or folders of a recording; the mapping identifies them by name.
         mapping: from `read_mapping`.
 
     Raises:
-        RunError: a file, a column or a value does not fit the mapping; the message says what to
-            change.
+        RunError: a file, a column or a value does not match the mapping; the message states the
+            remedy.
     """
     notes: list[str] = []
     doubts: list[str] = []
@@ -115,7 +115,7 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
     doubts += [f"command: no column; {NO_COMMANDS}"] if t is None else []
     t = t_seen if t is None else t
     assert t is not None
-    del tables  # of a long log, half of the memory
+    del tables  # frees half of the memory of a long log
     t, fields = _resample_commands(t, fields, mapping, notes)
     if t_seen is not None:
         t_seen = _frames_clock(t, t_seen, mapping, notes)
@@ -145,16 +145,16 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
         run = Run(t=t, **fields, extra={"made_from": np.array(made_from)} | extra)
     except RunError as fault:
         name = str(fault).split(":")[0]
-        # what is wrong in the mapping
+        # the likely fault of the mapping
         suspicion = next((doubt for doubt in doubts if f"{name}: " in doubt), None)
         raise RunError(f"{fault}; {suspicion}" if suspicion else str(fault)) from None
     return Imported(run, tuple(dict.fromkeys(notes)), tuple(doubts), damage)
 
 
 def _spool(mapping: Mapping) -> dict[str, Array]:
-    """Return the radius (mm) of the spools that turned angles into commands.
+    """Return the radius (mm) of the spools that convert angles to commands, for the run to keep.
 
-    The run keeps it; {} without one.
+    {} without a spool.
     """
     commands = [log.rows["command"] for log in mapping.logs if "command" in log.rows]
     radii = {
@@ -181,7 +181,7 @@ def _looked_for(mapping: Mapping, fields: Document) -> dict[str, NDArray[np.gene
 def _timeless(mapping: Mapping, notes: list[str]) -> Document:
     """Return the field of a run whose log has no time.
 
-    Raise RunError where times would have to be joined.
+    Raise RunError if times would be needed to join logs.
     """
     if not any(log.clock.timeless for log in mapping.logs):
         return {}
@@ -213,10 +213,7 @@ def _timeless(mapping: Mapping, notes: list[str]) -> Document:
 
 
 def _unused_time(names: Sequence[str]) -> list[str]:
-    """Return the doubt that a log has columns named like time.
-
-    It is declared to have no time.
-    """
+    """Return the doubt that a log declared to have no time has columns named like time."""
     times = [name for name in names if is_time_name(name)]
     if not times:
         return []
@@ -240,7 +237,7 @@ def _command_rows(
     notes: list[str],
     doubts: list[str],
 ) -> Array | None:
-    """The times of the commands; `fields` gets everything that is sampled at them."""
+    """Return the times of the commands; add everything sampled at them to `fields`."""
     owners = [k for k, log in enumerate(mapping.logs) if {"command", "ticks"} & set(log.rows)]
     if len(owners) > 1:
         raise RunError(
@@ -297,10 +294,7 @@ def _command_rows(
 
 
 def _filled(name: str, table: LogTable, values: Array) -> tuple[Array, Array]:
-    """The rows with a value in some column, with every value in them.
-
-    Absent ones lie on the line between their neighbours.
-    """
+    """Return the rows with a value in some column, with missing cells interpolated linearly."""
     some = np.asarray(np.isfinite(values).any(axis=1))
     empty = np.asarray(~np.isfinite(values).any(axis=0))
     if empty.any():
@@ -317,9 +311,9 @@ def _filled(name: str, table: LogTable, values: Array) -> tuple[Array, Array]:
     return t, values
 
 
-@np.errstate(invalid="ignore")  # a signalling NaN of a damaged file is a NaN like others
+@np.errstate(invalid="ignore")  # a signalling NaN of a damaged file counts as NaN
 def _convert(name: str, values: Array, quantity: Quantity, mapping: Mapping) -> Array:
-    """The values in our units, changed in place: of a long log they are most of the memory."""
+    """Return values in our units, changed in place: they are most of the memory of a long log."""
     unit = quantity.unit
     if name in ("command", "present"):
         if mapping.command_unit != "mm":
@@ -341,7 +335,7 @@ def _convert(name: str, values: Array, quantity: Quantity, mapping: Mapping) -> 
 
 
 def _interpolate(t: Array, own: Array, values: Array) -> Array:
-    """Rows at times t, linear; outside its own record the first and last values hold."""
+    """Interpolate rows linearly to times t; hold the first and last values outside the record."""
     return np.stack([np.interp(t, own, values[:, c]) for c in range(values.shape[1])], axis=1)
 
 

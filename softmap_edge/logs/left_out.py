@@ -1,6 +1,6 @@
-"""Choose the log that holds the markers, and name the columns that are left out.
+"""Choose the log with the markers, and list the columns left out of a proposed mapping.
 
-They are left out of a proposed mapping; each has a reason.
+Each of these columns has a reason.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from softmap_edge.files.printable import listed
 from softmap_edge.logs.guess_columns import Sheet
 from softmap_edge.logs.triples import LeftOut, Triples
 
-_NAMED = 12  # columns of one kind that are named
+_NAMED = 12  # columns of one kind that are listed
 
 
 def no_place(log: str, one: LeftOut) -> str:
-    """Return the remark on columns of a log that look like a place and are none."""
+    """Return the remark on columns of a log that resemble a position but are none."""
     return no_role(log, one) + "; name them in `markers` if they are a place"
 
 
@@ -28,7 +28,7 @@ def no_role(log: str, one: LeftOut) -> str:
 
 
 def worth(pair: tuple[Triples, Sheet]) -> tuple[int, bool, int]:
-    """Return what decides which log holds the markers: places in space, that move, and many."""
+    """Return the criteria for the log with the markers: positions in space, motion, number."""
     places = pair[0].places
     flat = [name for one in places for name in one]
     moving = any(

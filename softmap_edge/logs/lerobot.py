@@ -1,9 +1,9 @@
-"""Read the metadata of LeRobot: `meta/info.json` of a dataset, and the calibration of an arm.
+"""Read LeRobot metadata: `meta/info.json` of a dataset, and the calibration of an arm.
 
 A dataset holds many episodes of one robot in Parquet files; its info names the elements of `action`
-and `observation.state`. A calibration lists the raw ticks that each motor may take. It holds no
-length, so it is no calibration of a tendon, and it is explained instead of used. Reference:
-LeRobot's dataset format v2.1 and v3.0, `MotorCalibration`.
+and `observation.state`. A calibration lists the raw tick range of each motor. It holds no length
+and cannot calibrate a tendon, so it is explained, not used. Reference: LeRobot's dataset format
+v2.1 and v3.0, `MotorCalibration`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ EITHER_UNIT = (
     "to 100); the arm's calibration turns the latter into ticks (docs/reference/mapping.md)"
 )
 INFO = Path("meta") / "info.json"
-_SIZE = 2**24  # bytes of an info
+_SIZE = 2**24  # bytes of an info file
 _MOST = 4096  # elements of one feature
 _KEYS = {"id", "homing_offset", "range_min", "range_max"}
 _SHOWN = 4  # motors that a message lists
@@ -44,15 +44,15 @@ class Info:
 
 
 def is_dataset(folder: Path) -> bool:
-    """Return whether a folder is a dataset of LeRobot."""
+    """Return whether a folder is a LeRobot dataset."""
     return (folder / INFO).is_file()
 
 
 def dataset_files(folder: Path) -> list[Path]:
-    """Return the Parquet files of a dataset, in the order of their names.
+    """Return the Parquet files of a dataset in order of their names.
 
     Raises:
-        RunError: there are none.
+        RunError: the dataset has none.
     """
     files = sorted((folder / "data").glob("chunk-*/*.parquet"))
     if not files:
@@ -64,10 +64,10 @@ def dataset_files(folder: Path) -> list[Path]:
 
 
 def info_near(path: Path) -> Info | None:
-    """Return the info of a Parquet file's dataset: two folders above data/chunk-000/.
+    """Return the info of a Parquet file's dataset, two folders above data/chunk-000/.
 
     Raises:
-        RunError: it is there, and cannot be read.
+        RunError: the info exists but cannot be read.
     """
     place = path.absolute().parents
     folder = place[2] if len(place) > 2 else place[0]
@@ -152,7 +152,7 @@ def _short(value: object) -> str:
 
 
 def _line(motor: Document) -> str:
-    """Return scale and offset of the ticks of one motor, as a mapping writes them."""
+    """Return scale and offset of one motor's ticks in the notation of a mapping."""
     low, high = motor["range_min"], motor["range_max"]
     if not all(isinstance(x, int | float) and abs(x) < 1e9 for x in (low, high)):
         return "scale = (range_max - range_min) / 200, offset = (range_max + range_min) / 2"

@@ -1,7 +1,7 @@
-"""The mapping file of an import, checked: which column is what, in which unit, frame, rate.
+"""Read and check the mapping file of an import: meaning, unit, frame and rate of each column.
 
-Every key is known: a misspelt one is named with those that exist. docs/reference/mapping.md lists
-them; examples/trunk.toml shows the form.
+Unknown keys are rejected, and the message lists the known ones. docs/reference/mapping.md lists
+all keys; examples/trunk.toml shows the form.
 """
 
 from __future__ import annotations
@@ -66,12 +66,12 @@ CONSTANTS = (
     *("gravity", "temperature_c", "sigma_mm", "marker_rest_mm", "marker_rest_s"),
     *("load_g", "declare_load"),
 )
-_SIZE = 1_000_000  # bytes: a mapping is a page
+_SIZE = 1_000_000  # bytes of a mapping
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """Columns of one kind: their names and how numbers become ours (value · scale + offset)."""
+    """Columns of one kind: their names and conversion to our units (value · scale + offset)."""
 
     columns: tuple[Column, ...]
     unit: str
@@ -79,17 +79,17 @@ class Quantity:
     offset: Array
     held: str = "keep"
     spool_radius_mm: float = 1.0
-    labels: tuple[str, ...] = ()  # of markers
+    labels: tuple[str, ...] = ()  # names of the markers
     swaps: str = "report"
     not_seen: tuple[float, ...] | None = ()  # numbers that stand for "not seen"; None keeps all
-    axes: int = 3  # of a marker: 2 in a plane
-    # (columns,) the turn after which each rolls over, in the unit of the log
+    axes: int = 3  # coordinates of a marker: 2 in a plane
+    # (columns,) size of a turn after which each rolls over, in the log's unit
     unwrap: Array | None = None
 
 
 @dataclass(frozen=True)
 class Log:
-    """One file of the logs, or one topic of a file."""
+    """One log file, or one topic of a file."""
 
     file: str | None
     topic: str | None
@@ -105,7 +105,7 @@ class Log:
     block: Column | None
     output: Measured | None = None
     episode: int | None = None
-    from_row: int = 0  # rows of the log that are read, counted from 0
+    from_row: int = 0  # first row that is read, counted from 0
     to_row: int | None = None
 
 
@@ -131,13 +131,13 @@ class Mapping:
     marker_rest_s: tuple[float, float] | None = None
     load_g: tuple[tuple[str, float], ...] = ()
     declare_load: bool = True
-    # by how much the clock of the frames runs fast against that of the commands
+    # rate error of the frames' clock against that of the commands; positive if it runs fast
     fast_ppm: float = 0.0
-    # s: when the clock of the frames is set, and by how much
+    # when the frames' clock is set, and by how much, s
     clock_step: tuple[float, float] | None = None
 
     def to_base(self, points: Array) -> Array:
-        """Return points (..., 3) mm of the log's frame in the base frame: shift, then axes turn."""
+        """Return points (..., 3) mm of the log's frame in the base frame: shifted, then rotated."""
         shifted = points - self.origin_mm
         return np.stack([sign * shifted[..., axis] for axis, sign in self.axes], axis=-1)
 
@@ -165,10 +165,10 @@ def read_mapping(path: str | os.PathLike[str]) -> Mapping:
 
 
 def parse_mapping(text: str, path: Path) -> Mapping:
-    """Return the mapping that a text describes; `path` is named in errors.
+    """Return the mapping described by a text; errors refer to `path`.
 
     Raises:
-        RunError: as `read_mapping`.
+        RunError: as in `read_mapping`.
     """
     try:
         document = parsed(text)
@@ -420,14 +420,14 @@ def _unwrap(table: TomlTable, count: int) -> Array:
 
 
 def _held(name: str) -> tuple[tuple[str, ...], str]:
-    """Return the values that `held` may have, and the default."""
+    """Return the allowed values of `held`, and the default."""
     if name in POINTS:
         return ("auto", "keep"), "auto"
     return ("auto", "keep", "unhold"), "auto" if name.startswith("present") else "keep"
 
 
 def _labels(table: TomlTable, name: str, columns: list[Column], axes: int) -> tuple[str, ...]:
-    """Return the names of the markers: as given, else the common prefix of their column names."""
+    """Return the markers' names: as given, else the common prefix of their column names."""
     if name != "markers":
         return ()
     count = len(columns) // axes
@@ -446,7 +446,7 @@ def _labels(table: TomlTable, name: str, columns: list[Column], axes: int) -> tu
 
 
 def _label(triple: list[str], k: int) -> str:
-    """What three names share once their x, y, z is taken out: x1, y1, z1 are marker 1."""
+    """Return the shared part of three names without x, y, z: x1, y1, z1 are marker 1."""
     for turned in (False, True):  # x at the end, or the x in front
         cut = [
             re.sub(r"[xX]|[yY]|[zZ]", "", name[::-1] if turned else name, count=1)

@@ -1,4 +1,4 @@
-"""The part of a mapping for outputs other than places (force, angle, level); column names.
+"""Read the part of a mapping for outputs other than positions (force, angle, level).
 
 Pinned by tests/run/test_output.py.
 """
@@ -19,9 +19,9 @@ Column = str | int
 
 @dataclass(frozen=True)
 class Measured:
-    """Columns of outputs other than places (force, angle, level).
+    """Columns of outputs other than positions (force, angle, level).
 
-    A value is value · scale + offset, in `unit`.
+    An output is value · scale + offset, in `unit`.
     """
 
     columns: tuple[Column, ...]
@@ -33,7 +33,7 @@ class Measured:
 
 
 def measured_of(log: TomlTable) -> Measured | None:
-    """Return the outputs that a log names, if any.
+    """Return the outputs that a log declares, if any.
 
     Raises:
         RunError: a key of `output` is wrong, or its unit is missing.
@@ -85,7 +85,7 @@ def columns_of(table: TomlTable) -> list[str | int]:
     """Return the columns that a table names, with nested lists flattened.
 
     Raises:
-        RunError: there are none, or one is no name and no number.
+        RunError: there are none, or an entry is neither name nor number.
     """
     listed = table.get("columns", (list,), [])
     cells = [cell for entry in listed for cell in (entry if isinstance(entry, list) else [entry])]
@@ -99,7 +99,7 @@ def columns_of(table: TomlTable) -> list[str | int]:
 
 
 def per_column(table: TomlTable, key: str, count: int, default: float) -> Array:
-    """Return one number for each column: the same for all, or a list of them."""
+    """Return one number per column: the same for all, or a list."""
     if isinstance(table.values.get(key), list):
         values = table.numbers(key, (count,))
         assert values is not None

@@ -1,19 +1,23 @@
-"""Find places that stand for "not seen": constants that a tracker writes for a marker that it lost.
+"""Find positions that stand for "not seen": constants that a tracker writes for a lost marker.
 
-Many exporters write a lost marker as 0, 0, 0, as −1, −1, −1 or as 9999.99, or repeat its last place
-(`held_places`). A real marker repeats a place only where the robot rests. A place of a marker that
-moves counts as not seen if
+Many exporters write a lost marker as 0, 0, 0, as −1, −1, −1 or as 9999.99, or repeat its last
+position (`held_places`). A real marker repeats a position only while the robot rests. A position of
+a moving marker counts as not seen if it is
 
-    marked    its three numbers are equal (0, 0, 0), or it repeats to the last digit, and
-    alone     it lies far from every other place of the marker, or
-    jumps     the marker jumps to it and away, farther than it ever moves between two frames, or
-    driven  it stays the same while a command crosses half of its range, and no other place repeats
+    marked    three equal numbers (0, 0, 0), or a repeat to the last digit,
 
-One coordinate may stand for "not seen" alone (`one_coordinate`). A place that only repeats, with
-three different numbers, needs `alone` and one of the others. A marker that is alone at rest, under
-one command near which it is seen nowhere else, is not tested. A marker that never moves is kept.
-Limits: a place that occurs once and is not three equal numbers; fewer than `LEAST` frames. Pinned
-by tests/logs/test_not_seen.py.
+and one of
+
+    alone     it is far from every other position of the marker
+    jumps     the marker jumps to and from it, farther than it ever moves between two frames
+    driven    it is constant while a command crosses half of its range, and no other position
+              repeats
+
+A single coordinate may also stand for "not seen" (`one_coordinate`). A position that only repeats,
+with three different numbers, needs `alone` and one of the others. A position that is alone at rest,
+under one command near which the marker has no other, is not tested. A marker that never moves is
+kept. Limits: a position that occurs once and is not three equal numbers; fewer than `LEAST` frames.
+Pinned by tests/logs/test_not_seen.py.
 """
 
 from __future__ import annotations
@@ -31,26 +35,26 @@ from softmap_edge.logs.one_coordinate import NAMES, Coordinate, lost_coordinates
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-LEAST = 5  # frames of a marker: fewer are not enough
-MOVES = 3  # different places of a marker that moves
-ALONE = 3.0  # of the usual distance between places of the marker that are neighbours
-APART = 0.25  # of the extent of its other places, likewise; of a number, its complete extent
-JUMPS = 2.0  # of the longest of its other steps
+LEAST = 5  # frames of a marker; fewer are not enough
+MOVES = 3  # distinct positions of a moving marker
+ALONE = 3.0  # times the usual distance between neighbouring positions of the marker
+APART = 0.25  # of the extent of its other positions, likewise; of a number, its full extent
+JUMPS = 2.0  # times the longest of its other steps
 DRIVEN = 0.5  # of the range of a command: more than a play
-DISTINCT = 0.9  # share of the other places that occur once: a sensor with noise repeats none
-# of the range of each command: one command, and a command nearly the same
+DISTINCT = 0.9  # share of the other positions that occur once: a noisy sensor repeats none
+# of the range of each command: equal commands, and nearly equal ones
 AT_REST, NEAR = 0.05, 0.1
-STEEP = 3.0  # of the extent of a marker for the range of a command: no marker moves farther
-MOST = 3  # repeated places of one marker that are tested
-MARKS = 10  # places of three equal numbers, likewise
-MANY = 64  # points of a frame: of more, such as vertices, only three equal numbers are looked at
-_SAMPLE = 300  # places between which distances are taken
-_LISTED = 5  # markers that are named one by one
+STEEP = 3.0  # marker extents per range of a command: no marker moves farther
+MOST = 3  # repeated positions of one marker that are tested
+MARKS = 10  # positions of three equal numbers that are tested
+MANY = 64  # points of a frame: of more, such as vertices, only three equal numbers are tested
+_SAMPLE = 300  # positions between which distances are computed
+_LISTED = 5  # markers that are listed
 
 
 @dataclass(frozen=True)
 class Constant:
-    """A place that stands for "not seen": `place` (D,) of marker `marker` in `frames` (n,)."""
+    """A position that stands for "not seen": `place` (D,) of marker `marker` in `frames` (n,)."""
 
     marker: int
     place: tuple[float, ...]
@@ -59,7 +63,7 @@ class Constant:
 
 @dataclass(frozen=True)
 class Lost:
-    """Which points (K, M) stand for "not seen", and why."""
+    """Which points (K, M) stand for "not seen", and the reason."""
 
     mask: Mask
     constants: tuple[Constant, ...] = ()
@@ -67,7 +71,7 @@ class Lost:
     coordinates: tuple[Coordinate, ...] = ()
 
     def lines(self, labels: Sequence[str], remedy: str) -> list[str]:
-        """Return sentences on places that stand for "not seen", and one on held places."""
+        """Return sentences on positions that stand for "not seen", and one on held positions."""
         count = len(self.mask)
         lines = []
         for place in dict.fromkeys(one.place for one in self.constants):
@@ -113,9 +117,9 @@ def not_seen(points: Array, commands: Array | None = None) -> Lost:
     """Find the points that stand for "not seen".
 
     Args:
-        points: (K, M, D) places as the file has them, in order of time, NaN where nothing was seen;
+        points: (K, M, D) positions as in the file, in order of time, NaN where nothing was seen;
             D = 1 for outputs.
-        commands: (K, C) at these frames, in any unit; None where nothing is known of them.
+        commands: (K, C) at these frames, in any unit; None if unknown.
     """
     shown = np.array(points, float)
     u = _normalised(commands, len(shown))
@@ -137,7 +141,7 @@ def not_seen(points: Array, commands: Array | None = None) -> Lost:
 def declared(points: Array, numbers: Sequence[float]) -> Lost:
     """Return the points (K, M, D) that a mapping declares as not seen.
 
-    Their numbers all equal one of those that it declares.
+    All coordinates of such a point equal one of the declared numbers.
     """
     mask, found = np.zeros(points.shape[:2], bool), []
     for number in numbers:
@@ -152,7 +156,7 @@ def declared(points: Array, numbers: Sequence[float]) -> Lost:
 
 
 def _normalised(commands: Array | None, frames: int) -> Array | None:
-    """Return commands (K, C) of channels that move, each in its range; None without one."""
+    """Return commands (K, C) of moving channels, relative to their ranges; None without any."""
     if commands is None or commands.shape != (frames, commands.shape[-1]) or not len(commands):
         return None
     span = np.ptp(commands, axis=0)
@@ -162,7 +166,7 @@ def _normalised(commands: Array | None, frames: int) -> Array | None:
 
 # --- one marker ----------------------------------------------------------------------------
 def _constants(places: Array, u: Array | None, only_marked: bool) -> Iterator[NDArray[np.intp]]:
-    """Yield the frames of each place of one marker (K, D) that stands for "not seen"."""
+    """Yield the frames of each position of one marker (K, D) that stands for "not seen"."""
     seen = np.flatnonzero(np.isfinite(places).all(axis=1))
     if len(seen) < LEAST:
         return
@@ -186,7 +190,7 @@ def _constants(places: Array, u: Array | None, only_marked: bool) -> Iterator[ND
 
 
 def _distinct(own: Array) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
-    """Return the distinct places of (n, D) in order, each row's index, and their counts."""
+    """Return the sorted distinct positions of (n, D), each row's index, and their counts."""
     order = np.lexsort(own.T[::-1])
     new = np.r_[True, (own[order[1:]] != own[order[:-1]]).any(axis=1)]
     which = np.empty(len(own), np.intp)
@@ -195,7 +199,7 @@ def _distinct(own: Array) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
 
 
 def _marked(distinct: Array, count: NDArray[np.intp]) -> Mask:
-    """Return the few distinct places (n, D) of three equal numbers, and the commonest of them."""
+    """Return the few distinct positions (n, D) of three equal numbers, the commonest ones."""
     marked = (distinct == distinct[:, :1]).all(axis=1) & (distinct.shape[1] > 1)
     if marked.sum() > MARKS:
         rare = np.flatnonzero(marked)[np.argsort(-count[marked], kind="stable")[MARKS:]]
@@ -204,9 +208,9 @@ def _marked(distinct: Array, count: NDArray[np.intp]) -> Mask:
 
 
 def _repeated(places: Array, count: NDArray[np.intp]) -> list[int]:
-    """Return which places (n, D) occur more than once.
+    """Return which positions (n, D) occur more than once.
 
-    Those farthest from the middle, and those that occur most.
+    These are the ones farthest from the middle, and the most frequent ones.
     """
     several = np.flatnonzero(count > 1)
     away = np.linalg.norm(places[several] - np.median(places, axis=0), axis=1)
@@ -219,9 +223,9 @@ def _repeated(places: Array, count: NDArray[np.intp]) -> list[int]:
 
 @dataclass(frozen=True)
 class _Seen:
-    """The places (n, D) of a marker, and the commands.
+    """The positions (n, D) of a marker, and the commands.
 
-    The distinct places, which each row is and how often each is there.
+    It also holds the distinct positions, their counts, and the index of each row among them.
     """
 
     own: Array
@@ -232,9 +236,9 @@ class _Seen:
 
 
 def _stands_for_lost(seen: _Seen, k: int, rest: Mask, marked: bool, lost: Mask) -> bool:
-    """Return whether distinct place `k` is no place.
+    """Return whether distinct position `k` stands for "not seen".
 
-    It is compared with the distinct places `rest`; `lost` are no places.
+    It is compared with the distinct positions `rest`; those in `lost` are excluded.
     """
     at, u = seen.which == k, seen.drive
     driven = u is not None and at.sum() > 2 and bool(np.ptp(u[at], axis=0).max() > DRIVEN)
@@ -252,7 +256,7 @@ def _stands_for_lost(seen: _Seen, k: int, rest: Mask, marked: bool, lost: Mask) 
 
 
 def _alone(here: Array, places: Array) -> bool:
-    """Whether a place (D,) is far from all others (n, D)."""
+    """Return whether a position (D,) is far from all others (n, D)."""
     away = float(np.linalg.norm(places - here, axis=1).min())
     some = places[np.unique(np.linspace(0, len(places) - 1, min(len(places), _SAMPLE)).astype(int))]
     apart = np.linalg.norm(some[:, None] - some[None], axis=2)
@@ -265,10 +269,7 @@ def _alone(here: Array, places: Array) -> bool:
 
 
 def _jumps(own: Array, at: Mask, others: Mask) -> bool:
-    """Whether a marker (n, D) reaches and leaves `at` only by its longest steps.
-
-    They are longer than all its other steps.
-    """
+    """Return whether a marker (n, D) reaches and leaves `at` only by its longest steps."""
     step = np.linalg.norm(np.diff(own, axis=0), axis=1)
     usual = step[others[1:] & others[:-1]]
     into = (at[1:] & others[:-1]) | (at[:-1] & others[1:])
@@ -278,9 +279,9 @@ def _jumps(own: Array, at: Mask, others: Mask) -> bool:
 
 
 def _rests(own: Array, u: Array, at: Mask, others: Mask) -> bool:
-    """Whether the frames `at` may be a robot at rest.
+    """Return whether the robot may be at rest in the frames `at`.
 
-    It is under one command, near which no frame has a place far away.
+    They have one command, near which no frame shows a distant position.
     """
     middle = np.median(u[at], axis=0)
     if np.abs(u[at] - middle).max() > AT_REST or not others.any():

@@ -1,4 +1,4 @@
-"""Recognise names that differ in their numbers only: `u1` and `u2`, `log_0.csv` and `log_1.csv`."""
+"""Recognise names that differ only in numbers: `u1` and `u2`, `log_0.csv` and `log_1.csv`."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ _DIGITS = re.compile(r"\d+")
 
 
 def without_numbers(name: str, mark: str = "#") -> str:
-    """Return a name with marks for numbers: names that differ in numbers only are then equal.
+    """Return a name with its numbers replaced, so that names differing only in numbers are equal.
 
     Args:
         name: a name of a column or of a file.
-        mark: what stands for a number; `*` makes a pattern of a name of a file.
+        mark: the replacement; `*` turns a file name into a pattern.
     """
     return _DIGITS.sub(mark, name)
 

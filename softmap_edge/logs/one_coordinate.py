@@ -1,11 +1,9 @@
-"""Find places with one coordinate that stands for "not seen", as depth 0 or 65535.
+"""Find positions with one coordinate that stands for "not seen", such as depth 0 or 65535.
 
-Depth cameras give such values.
-
-Such a number is the same to the last digit in several frames, and lies farther from all other
-numbers of the coordinate than these reach. The marker jumps to it and away, or it is not the place
-of a robot at rest. The other coordinates may go on, as a pixel does without depth. Pinned by
-tests/logs/test_one_coordinate.py.
+Depth cameras give such values. The number is equal to the last digit in several frames, and farther
+from all other numbers of the coordinate than their range. The marker jumps to and from it, or it
+is not the position of a robot at rest. The other coordinates may continue, as for a pixel without
+depth. Pinned by tests/logs/test_one_coordinate.py.
 """
 
 from __future__ import annotations
@@ -20,21 +18,18 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 LEAST = 5  # other frames of a marker
-MOVES = 3  # different numbers of a coordinate that moves
+MOVES = 3  # distinct numbers of a moving coordinate
 OFTEN = 2  # frames and markers that show the number
-FAR = 1.0  # of the range of the other numbers
-STEPS = 2.0  # of the longest of the other steps
+FAR = 1.0  # times the range of the other numbers
+STEPS = 2.0  # times the longest of the other steps
 MOST = 4  # numbers of one coordinate that are tested
-AT_REST, MOVED = 0.05, 0.1  # of the range of each command: one command, and another
+AT_REST, MOVED = 0.05, 0.1  # of the range of each command: equal commands, and different ones
 NAMES = "xyz"
 
 
 @dataclass(frozen=True)
 class Coordinate:
-    """A number for "not seen": coordinate `axis` of marker `marker` is `number`.
-
-    It is so in `frames` (n,).
-    """
+    """A "not seen" number: coordinate `axis` of marker `marker` is `number` in `frames` (n,)."""
 
     marker: int
     axis: int
@@ -46,8 +41,8 @@ def lost_coordinates(points: Array, u: Array | None) -> list[Coordinate]:
     """Find the coordinates that stand for "not seen".
 
     Args:
-        points: (K, M, D), NaN where nothing was seen. u: (K, C) commands, each in its range; None
-            where unknown.
+        points: (K, M, D), NaN where nothing was seen.
+        u: (K, C) commands relative to their ranges; None if unknown.
     """
     found = []
     for axis in range(points.shape[2]) if points.shape[2] > 1 else ():
@@ -59,7 +54,7 @@ def lost_coordinates(points: Array, u: Array | None) -> list[Coordinate]:
 
 
 def _candidates(part: Array) -> list[float]:
-    """Return the repeated numbers of one coordinate (K, M) that are farthest from its median."""
+    """Return the repeated numbers of one coordinate (K, M) farthest from its median."""
     numbers, count = np.unique(part[np.isfinite(part)], return_counts=True)
     if len(numbers) < 1 + MOVES:
         return []
@@ -71,7 +66,7 @@ def _candidates(part: Array) -> list[float]:
 def _of_markers(
     part: Array, number: float, u: Array | None
 ) -> Iterator[tuple[int, NDArray[np.intp]]]:
-    """Yield markers of a coordinate (K, M) with a number for "not seen", and the frames."""
+    """Yield markers with a number for "not seen" in a coordinate (K, M), and the frames."""
     for m in np.flatnonzero((part == number).any(axis=0)):
         at, known = part[:, m] == number, np.isfinite(part[:, m])
         others = part[known & ~at, m]
@@ -94,9 +89,9 @@ def _jumps(numbers: Array, at: Mask) -> bool:
 
 
 def _rests(u: Array, at: Mask, others: Mask) -> bool:
-    """Return whether the robot may rest there.
+    """Return whether the robot may be at rest there.
 
-    It is there under one command only; under other commands it is at other places.
+    It then has this number under one command only, and others under other commands.
     """
     middle = np.median(u[at], axis=0)
     if np.abs(u[at] - middle).max() > AT_REST:

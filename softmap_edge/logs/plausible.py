@@ -1,11 +1,11 @@
-"""Reports numbers that do not look like what a mapping declares: units, or base frame.
+"""Report numbers that do not fit the mapping's declarations: units, or base frame.
 
-Each doubt is one line that names the suspicion and the remedy in the mapping. Limits are wide: a
-robot of 3 mm to 3 m, 0.2 to 300 mm of tendon, half a turn to four turns of a motor. A tendon is
-pulled by less than the length of its body, so centimetres that are read as millimetres are found
-where the commands are in mm. A scale of 2 is not found. The robot's rest axis is z of the base
-frame by definition, so markers that run along another axis at rest mean a y-up log or swapped axes.
-Pinned by tests/logs/test_import_doubts.py and tests/logs/test_import_lengths.py.
+Each doubt is one line with the suspicion and the remedy in the mapping. Limits are wide: a robot of
+3 mm to 3 m, 0.2 to 300 mm of tendon, half a turn to four turns of a motor. A tendon's pull is
+shorter than its body, so centimetres read as millimetres are detected for commands in mm. A scale
+of 2 is not detected. The robot's rest axis is z of the base frame by definition, so markers along
+another axis at rest indicate a y-up log or swapped axes. Pinned by
+tests/logs/test_import_doubts.py and tests/logs/test_import_lengths.py.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ from softmap_edge.logs.never_seen import moving
 from softmap_edge.run.rest_command import rest_command
 
 Array = NDArray[np.float64]
-ROBOT = (3.0, 3000.0)  # mm: what all markers together span
-TENDON = (0.2, 300.0)  # mm: the largest command
-_USUAL = {"robot": (20.0, 2000.0), "tendon": (0.5, 150.0)}  # mm: what a proposed unit must give
-# rad: degrees are rarely below the one, radians rarely beyond the other
+ROBOT = (3.0, 3000.0)  # mm: extent of all markers
+TENDON = (0.2, 300.0)  # mm: largest command
+_USUAL = {"robot": (20.0, 2000.0), "tendon": (0.5, 150.0)}  # mm: plausible for a proposed unit
+# rad: degrees are rarely below the first, radians rarely beyond the second
 HALF_TURN, TURNS = 3.2, 25.0
-# of the length of the body, from slack to the other end: no tendon is pulled farther
+# of the body's length, from slack to the other end: no tendon is pulled farther
 STROKE = 1.2
-METRES = 3.0  # mm: where a clamp farther away, given in m, appears to stand
-_HOME = 0.1  # of the largest command: nearer than this the robot is taken to be at rest
-# rows of a reading that stands still, and of the range of a command meanwhile
+METRES = 3.0  # mm: apparent distance of a clamp that is given in m
+_HOME = 0.1  # of the largest command: below it the robot counts as at rest
+# rows of a frozen reading, and of the range of a command meanwhile
 _STILL_ROWS, _CROSSED = 20, 0.5
-_SAMPLE = 20_000  # frames looked at
+_SAMPLE = 20_000  # frames examined
 _LETTERS = "xyz"
 
 
 def doubts_of_time(t: Array) -> list[str]:
-    """Say whether the times t (T,) s look like another unit."""
+    """Report times t (T,) s that seem to have another unit."""
     largest = float(np.abs(t).max()) if len(t) else 0.0
     for limit, unit in ((1e17, "ns"), (1e14, "us"), (1e11, "ms")):
         if largest > limit:
@@ -62,7 +62,7 @@ def doubts_of_time(t: Array) -> list[str]:
 
 
 def doubts_of_rows(name: str, raw: Array, quantity: Quantity) -> list[str]:
-    """Say whether raw values (T, C) look like another unit than the declared one."""
+    """Report raw values (T, C) that seem to have another unit than the declared one."""
     finite = np.abs(raw[np.isfinite(raw)])
     peak = float(finite.max()) if finite.size else 0.0
     if peak == 0.0:
@@ -114,10 +114,10 @@ def doubts_of_unread(name: str, raw: Array, quantity: Quantity) -> list[str]:
 
 
 def _spool_in_metres(turned: float, quantity: Quantity) -> str | None:
-    """Return the suspicion that the radius of a spool is given in m; None if 1 mm would be absurd.
+    """Return the suspicion that a spool radius is given in m; None if 1 mm would be implausible.
 
     Args:
-        turned: by how much the spool turns at most, rad.
+        turned: largest rotation of the spool, rad.
         quantity: the angle of the spool.
     """
     radius, pulled = quantity.spool_radius_mm, turned * quantity.spool_radius_mm
@@ -153,7 +153,8 @@ def doubts_of_frozen(t: Array, fields: Document) -> list[str]:
     """Report drive readings that repeat exactly while a command crosses much of its range.
 
     Args:
-        t: (T,) s, of the rows. fields: the fields of the run, with an entry for each row.
+        t: times of the rows, (T,) s.
+        fields: the fields of the run, with one entry per row.
     """
     given = next(
         (np.asarray(fields[name], float) for name in ("command", "ticks") if name in fields), None
@@ -181,7 +182,7 @@ def doubts_of_frozen(t: Array, fields: Document) -> list[str]:
 
 
 def _frozen(column: Array, commands: Array) -> tuple[int, int] | None:
-    """Return the longest stretch in which a column (T,) stands still and should not.
+    """Return the longest stretch in which a column (T,) is frozen although it should move.
 
     It is (first row, row after the last).
     """
@@ -196,13 +197,13 @@ def _frozen(column: Array, commands: Array) -> tuple[int, int] | None:
 
 
 def doubts_of_points(points: Array, unit: str, name: str = "markers") -> list[str]:
-    """Report points (K, M, 3) of a key `name`, in mm from `unit`, without a robot's size."""
+    """Report points (K, M, 3) of key `name`, in mm from `unit`, that do not fit a robot's size."""
     sample = points[:: max(1, len(points) // _SAMPLE)].reshape(-1, 3)
     sample = sample[np.isfinite(sample).all(axis=1)]
     if len(sample) < 2:
         return []
     span = float(np.ptp(sample, axis=0).max())
-    if points.shape[1] == 1 or name == "base":  # a single marker may stand still, and a base does
+    if points.shape[1] == 1 or name == "base":  # a single marker, and a base, may be at rest
         span = max(span, float(np.abs(sample).max()))
     if ROBOT[0] <= span <= ROBOT[1] or span == 0.0:
         return []
@@ -219,7 +220,7 @@ def doubts_of_points(points: Array, unit: str, name: str = "markers") -> list[st
 
 
 def overlong_stroke(points: Array, command: Array) -> str | None:
-    """Return the suspicion that a body is smaller than the pull of its tendons; None without one.
+    """Return the suspicion that a body is smaller than the pull of its tendons; else None.
 
     Args:
         points: (K, M, 3) mm in the base frame; NaN where nothing was seen.
@@ -244,8 +245,10 @@ def doubts_of_base(t: Array, t_seen: Array, fields: Document, mapping: Mapping) 
     """Return doubts about the unit of places, the origin of the base frame, and the frame.
 
     Args:
-        t: (T,) s, of the commands. t_seen: (K,) s, of the frames.
-        fields: the fields of the run. mapping: as declared.
+        t: times of the commands, (T,) s.
+        t_seen: times of the frames, (K,) s.
+        fields: the fields of the run.
+        mapping: as declared.
     """
     markers, command, base = fields["markers"], fields.get("command"), fields.get("base_markers")
     small = None
@@ -260,10 +263,10 @@ def doubts_of_base(t: Array, t_seen: Array, fields: Document, mapping: Mapping) 
 
 
 def _origin_in_metres(rest: Array, mapping: Mapping) -> str | None:
-    """Return the suspicion that the origin is given in m: 1000 times as far, it is at the robot.
+    """Return the suspicion that the origin is given in m: times 1000 it lies at the robot.
 
     Args:
-        rest: (M, 3) mm, places of the robot or of its clamp at rest, in the base frame as declared.
+        rest: (M, 3) mm, rest positions of the robot or its clamp, in the declared base frame.
         mapping: as declared.
     """
     origin = np.asarray(mapping.origin_mm, float)
@@ -273,7 +276,7 @@ def _origin_in_metres(rest: Array, mapping: Mapping) -> str | None:
     moved = rest - mapping.to_base(1000.0 * origin)
     near, nearer = (float(np.linalg.norm(one, axis=1).min()) for one in (rest, moved))
     size = float(np.linalg.norm(np.ptp(moved, axis=0)))
-    # a robot hangs or stands at one side of its clamp, so most of it lies along +z
+    # a robot hangs or stands on one side of its clamp, so most of it lies along +z
     beside = float(moved[:, 2].min()) < -0.1 * max(size, nearer)
     if nearer >= near or beside:
         return None
@@ -329,9 +332,9 @@ def doubts_of_rest(t: Array, t_seen: Array, fields: Document, mapping: Mapping) 
 
 
 def _plate_on_axis(rest: Array, mapping: Mapping) -> bool:
-    """Whether markers (M, 3) are those of a plate at the tip.
+    """Return whether markers (M, 3) form a plate at the tip.
 
-    They are close together, up the z axis of a clamp whose place is given.
+    They are close together on the z axis of a clamp with a given position.
     """
     rest = rest[np.isfinite(rest).all(axis=1)]
     middle = rest.mean(axis=0)
@@ -341,12 +344,12 @@ def _plate_on_axis(rest: Array, mapping: Mapping) -> bool:
 
 
 def is_base(label: str) -> bool:
-    """Whether a marker sits on the clamp and not on the robot, by its name."""
+    """Return whether a marker's name places it on the clamp, not on the robot."""
     return bool(re.search(r"base|clamp|mount|ground|frame", label, re.IGNORECASE))
 
 
 def at_rest(t: Array, t_seen: Array, command: Array | None, markers: Array) -> Array:
-    """Return the (M, 3) median places of the markers in the frames nearest to home."""
+    """Return the median positions (M, 3) of the markers in the frames nearest to home."""
     if command is None or command.size == 0 or not np.abs(command).max():
         return _middle(markers)
     size = np.abs(command - rest_command(command)).max(axis=1)
@@ -356,7 +359,7 @@ def at_rest(t: Array, t_seen: Array, command: Array | None, markers: Array) -> A
 
 
 def _middle(points: Array) -> Array:
-    """The (M, 3) median of the frames in which each point was seen."""
+    """Return the median (M, 3) over the frames in which each point was seen."""
     points = points[:: max(1, len(points) // _SAMPLE)]
     middle = np.full(points.shape[1:], np.nan)
     for m in range(points.shape[1]):
@@ -367,12 +370,11 @@ def _middle(points: Array) -> Array:
 
 
 def rest_axis(rest: Array, base: Array | None) -> Array | None:
-    """Return the unit vector (3,) along which a robot lies; None if unknown.
+    """Return the unit vector (3,) of a robot's axis at rest; None if unknown.
 
-    It follows from markers (M, 3) listed base first.
-
-    From the base (3,) to the middle of the markers where a base is known, else from the first to
-    the last of an elongated set, else from the origin to a single marker.
+    It follows from markers (M, 3) listed base first. It runs from the base (3,), if known, to the
+    centre of the markers; else from the first to the last of an elongated set; else from the origin
+    to a single marker.
     """
     rest = rest[np.isfinite(rest).all(axis=1)]
     if len(rest) == 0:

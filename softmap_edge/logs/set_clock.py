@@ -1,9 +1,7 @@
-"""Find where a clock was set back or forward.
+"""Find where a clock was set back or forward: time jumps, but the values continue smoothly.
 
-Time falls or leaps, and the values go on as if no time had passed.
-
-Rows that arrive out of order fall as well, but the time before is soon reached again. A pause leaps
-as well, but the robot rests before or after it, or is at another place. Pinned by
+Rows out of order also fall in time, but the earlier time is soon reached again. A pause also leaps
+in time, but the robot rests before or after it, or is at another position. Pinned by
 tests/logs/test_clock.py.
 """
 
@@ -18,26 +16,25 @@ from softmap_edge.logs.readers.columns import Array
 
 Rows = NDArray[np.int64]
 
-LONG = 3.0  # usual steps: a fall of a clock that was set is longer
-# times the 95th percentile of the steps: from here on a step forward is a pause or a clock that was
-# set
+LONG = 3.0  # usual steps: the fall of a set clock is longer
+# times the 95th percentile of the steps: a longer forward step is a pause or a set clock
 LEAP = 50.0
 LEAST_LEAP = 1.0  # s, likewise
-NEAR = 20  # rows on either side that show how far values move from row to row
-ON = 3.0  # usual moves: the mean over moving columns of one that goes on
-APART = 8.0, 0.02  # usual moves, and the range of a column: a value that does not go on
-# by which two halves of `NEAR` rows differ, in usual moves, times the square root of the rows
+NEAR = 20  # rows on either side that show the usual change per row
+ON = 3.0  # usual changes: mean over moving columns of a value that continues
+APART = 8.0, 0.02  # usual changes, and range of a column: a value that does not continue
+# difference of the halves of `NEAR` rows, in usual changes times the square root of the rows
 MOVING = 7.0
 
 
 @dataclass(frozen=True)
 class Jump:
-    """Where a clock falls or leaps.
+    """The rows where a clock falls or leaps.
 
     Attributes:
-        rows: the first row after each.
-        size_s: s by which time changes there, against the row before.
-        period_s: period (s) of a clock that rolls over; None for a clock that was set.
+        rows: the first row after each jump.
+        size_s: change of time there relative to the previous row, s.
+        period_s: period (s) of a clock that rolls over; None for a set clock.
         period: the period as text.
     """
 
@@ -48,16 +45,17 @@ class Jump:
 
 
 def usual_step(t: Array) -> float:
-    """Return the median (s) of the steps forward of times (rows,) s."""
+    """Return the median (s) of the forward steps of times (rows,) s."""
     step = np.diff(t)
     return float(np.median(step[step > 0]))
 
 
 def set_back(t: Array, values: Array) -> Jump | None:
-    """Return the falls of a clock that was set; None if one of them may have another cause.
+    """Return the falls of a set clock; None if one of them may have another cause.
 
     Args:
-        t: (rows,) s. values: (rows, columns) without those of time.
+        t: (rows,) s.
+        values: (rows, columns) without time columns.
     """
     step = np.diff(t)
     rows = np.flatnonzero(step < 0) + 1
@@ -74,12 +72,13 @@ def set_back(t: Array, values: Array) -> Jump | None:
 
 
 def set_forward(t: Array, values: Array) -> Jump | None:
-    """Return the leaps of a clock that was set; else None.
+    """Return the leaps of a set clock; else None.
 
-    The values move, and go on as if no time had passed.
+    The values move, and continue as if no time had passed.
 
     Args:
-        t: (rows,) s. values: (rows, columns) without those of time.
+        t: (rows,) s.
+        values: (rows, columns) without time columns.
     """
     step = np.diff(t)
     forward = step[step > 0]
@@ -91,7 +90,7 @@ def set_forward(t: Array, values: Array) -> Jump | None:
 
 
 def both(one: Jump | None, other: Jump | None) -> Jump | None:
-    """Return the steps of two findings in order of the rows."""
+    """Return the steps of two findings, in row order."""
     if one is None or other is None:
         return one or other
     rows = np.r_[one.rows, other.rows]
@@ -106,16 +105,13 @@ def _soon_reached(t: Array, row: int, usual: float) -> bool:
 
 
 def returns(step: Array, row: int, size: float) -> bool:
-    """Whether the step next to a fall of `size` reverses it.
-
-    It then is one stray time, such as a stamp of 0.
-    """
+    """Return whether the step next to a fall of `size` reverses it: a stray time, such as 0."""
     near = [step[k] for k in (row - 2, row) if 0 <= k < len(step)]
     return bool(near) and max(near) > 0.5 * size
 
 
 def goes_on(values: Array, row: int) -> bool | None:
-    """Return whether values (rows, columns) go on from the row before to `row`.
+    """Return whether values (rows, columns) continue smoothly from the previous row to `row`.
 
     None if nothing moves there.
     """
@@ -143,7 +139,7 @@ def _span(values: Array) -> Array:
 
 
 def _moves(side: Array, usual: Array) -> NDArray[np.bool_]:
-    """Return which columns (rows, columns) move steadily: halves differ beyond noise."""
+    """Return which columns (rows, columns) move steadily: their halves differ beyond noise."""
     half = len(side) // 2
     if half < 2:
         return np.zeros(side.shape[1], np.bool_)

@@ -1,18 +1,16 @@
-"""Find frames with a shorter list of markers, so that columns show their neighbours.
+"""Find frames with a shortened list of markers, where columns show their neighbours' markers.
 
-A column then shows the neighbour of its marker.
+Trackers without labels write the visible markers one after the other. If one is lost, all later
+columns move up, and the last column is empty or repeats the one before. In other lists the first
+column is empty. In such a log the visible markers always fill the first columns, or the last ones.
+Two markers at the same position to the last digit are one measurement, unless they come as close
+as the digits of the file.
 
-Trackers without labels write the markers that they see one after the other. If one is lost, all
-later columns move up and the last column is empty, or repeats the one before. In other lists the
-first column is empty. In such a log the markers that are seen always fill the first columns, or the
-last ones. Two markers at one place to the last digit are one measurement, unless they come as near
-to each other as the digits of the file.
-
-In a frame with all markers the columns are right. From it, each next frame is matched in order,
-with the least total distance to the last places; a marker counts as found in another column if it
-moved by at most `CLEAR` of the distance between the two. Two columns of one place whose marker is
-not clear are both not seen. Limit: frames so far apart that markers move farther are not tested.
-Pinned by tests/logs/test_shifted.py.
+In a frame with all markers the columns are right. From there each next frame is matched in order,
+with the least total distance to the last positions. A marker counts as found in another column if
+it moved by at most `CLEAR` of the distance between the two. Two columns with one position and an
+unclear marker are both not seen. Limit: frames so far apart that markers move farther are not
+tested. Pinned by tests/logs/test_shifted.py.
 """
 
 from __future__ import annotations
@@ -28,12 +26,11 @@ from softmap_edge.files.printable import listed
 Array = NDArray[np.float64]
 Whole = NDArray[np.intp]
 
-# of the distance between two markers: what a marker may have moved when it is found in another
-# column
+# of the distance between two markers: largest motion of a marker found in another column
 CLEAR = 0.3
-NEAR = 10.0  # digits of the file: markers that come nearer to each other may round to one place
-NOWHERE = -1  # a column that repeats the place of another
-MOST = 64  # markers of a list: matching takes their square
+NEAR = 10.0  # digits of the file: markers closer than this may round to one position
+NOWHERE = -1  # a column that repeats another marker's position
+MOST = 64  # markers of a list: the cost of matching is quadratic
 _LISTED = 5
 
 
@@ -41,18 +38,18 @@ _LISTED = 5
 class Shifted:
     """Which marker each column shows: `shows` (K, M).
 
-    The column's own number where it is right, else `NOWHERE`.
+    It is the column's own number where right, else another one or `NOWHERE`.
     """
 
     shows: Whole
 
     @property
     def wrong(self) -> NDArray[np.bool_]:
-        """Which columns (K, M) show another marker."""
+        """Return which columns (K, M) show another marker."""
         return np.asarray(self.shows != np.arange(self.shows.shape[1]))
 
     def mended(self, points: Array) -> Array:
-        """Return points (K, M, D) with each place in the column of its marker."""
+        """Return points (K, M, D) with each position in the column of its marker."""
         right = points.copy()
         right[self.wrong] = np.nan
         k, column = np.nonzero(self.wrong & (self.shows != NOWHERE))
@@ -60,7 +57,7 @@ class Shifted:
         return right
 
     def lines(self, labels: Sequence[str], remedy: str) -> list[str]:
-        """Return the sentences that report the columns."""
+        """Return the sentences on these columns."""
         lines = []
         moved = self.wrong & (self.shows != NOWHERE)
         if moved.any():
@@ -84,13 +81,13 @@ def _named(columns: NDArray[np.bool_], labels: Sequence[str]) -> str:
 
 
 def find_shifted(points: Array) -> Shifted | None:
-    """Find frames of a list that got shorter, and columns that repeat the place of another.
+    """Find frames with a shortened list, and columns that repeat another marker's position.
 
     Args:
         points: (K, M, D) in order of time, NaN where nothing was seen.
 
     Returns:
-        Shifted: which marker each column shows, or None where every column shows its own.
+        Shifted: which marker each column shows, or None if every column shows its own.
     """
     count = points.shape[1]
     if not 2 <= count <= MOST:
@@ -117,10 +114,7 @@ def find_shifted(points: Array) -> Shifted | None:
 
 
 def _first_of(points: Array) -> Whole:
-    """Return the first column (K, M) with the same place to the last digit.
-
-    Its own number where no other has it.
-    """
+    """Return the first column (K, M) with the same position to the last digit, perhaps itself."""
     count = points.shape[1]
     first = np.tile(np.arange(count), (len(points), 1))
     for b in range(1, count):
@@ -134,10 +128,7 @@ def _first_of(points: Array) -> Whole:
 
 
 def _apart(one: Array, other: Array, same: NDArray[np.bool_]) -> bool:
-    """Return whether two markers (K, D) are too far apart in other frames to share a place.
-
-    The place is rounded.
-    """
+    """Return whether two markers (K, D) are otherwise too far apart to round to one position."""
     away = np.linalg.norm(one - other, axis=1)[~same]
     away = away[np.isfinite(away)]
     steps = [np.diff(np.unique(np.r_[a, b])) for a, b in zip(one.T, other.T)]
@@ -153,9 +144,9 @@ def _follow(
     shows: Whole,
     frames: Iterable[int],
 ) -> None:
-    """Write which marker each column of each frame shows, beginning with a frame of all markers."""
+    """Write which marker each column shows, starting from a frame with all markers."""
     last = np.full(points.shape[1:], np.nan)
-    # the columns of the frame before, and the markers that they show
+    # columns of the previous frame, and the markers that they show
     before: tuple[Whole, Whole] | None = None
     for k in frames:
         columns = _one_of_each(points[k], last, first[k], seen[k])
@@ -182,9 +173,9 @@ def _follow(
 
 
 def _one_of_each(here: Array, last: Array, first: Whole, seen: NDArray[np.bool_]) -> Whole:
-    """Return one column for each place (M, D).
+    """Return one column for each position (M, D).
 
-    Of those that repeat it, the one whose marker was nearest to it.
+    Of equal columns it is the one whose marker was nearest.
     """
     column = np.arange(len(last))
     if (first == column).all():
@@ -197,7 +188,7 @@ def _one_of_each(here: Array, last: Array, first: Whole, seen: NDArray[np.bool_]
 def _clear_groups(
     away: Array, last: Array, first: Whole, columns: Whole, markers: Whole
 ) -> list[bool]:
-    """Return of each place (n, M) whether it is clear which marker of its columns it shows."""
+    """Return for each position (n, M) whether the marker that its columns show is clear."""
     clear = []
     for i, (column, marker) in enumerate(zip(columns, markers)):
         group = np.flatnonzero(first == first[column])
@@ -221,9 +212,9 @@ def _write(shows: Whole, first: Whole, columns: Whole, markers: Whole, clear: li
 
 
 def _matched(away: Array, last: Array, own: Whole) -> Whole:
-    """Return which marker each place shows, in rising order.
+    """Return which marker each position shows, in rising order.
 
-    By its distances (n, M) from the last places of all.
+    It is chosen by distances (n, M) from the last positions of all markers.
     """
     nearest = away.argmin(axis=1)
     best = nearest if (np.diff(nearest) > 0).all() else _in_order(away)
@@ -233,7 +224,7 @@ def _matched(away: Array, last: Array, own: Whole) -> Whole:
 
 
 def _in_order(away: Array) -> Whole:
-    """Return the rising choice of a column for each row (n, M) with the least sum."""
+    """Return the rising choice of columns for the rows (n, M) with the smallest sum."""
     n, count = away.shape
     total = np.full((n + 1, count + 1), np.inf)
     total[0] = 0.0

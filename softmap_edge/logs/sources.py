@@ -1,10 +1,8 @@
-"""Find the files of `softmap import` paths, and assign them to logs.
+"""Find the files for the paths of `softmap import`, and assign them to logs.
 
-Paths are files, folders and packed files.
-
-A folder stands for its files, a packed file for its contents. Several recordings that fit one log
-are its parts. Logs whose mappings differ only in `file` are one log in parts. Pinned by
-tests/logs/test_containers.py.
+Paths are files, folders and packed files. A folder stands for its files, a packed file for its
+contents. Several recordings that match one log are its parts. Logs whose mappings differ only in
+`file` are one log in parts. Pinned by tests/logs/test_containers.py.
 """
 
 from __future__ import annotations
@@ -39,11 +37,11 @@ _NAMED = 4  # files and patterns that are named
 
 @dataclass(frozen=True)
 class Part:
-    """One file to be read.
+    """One file to read.
 
     Attributes:
-        given: the path that the user gave: the file, or its folder.
-        path: the file as it lies on the disk.
+        given: the path given by the user: the file, or its folder.
+        path: the file on disk.
         file: the same, or its unpacked content.
         kind: its format, from `kind_of`.
         notes: remarks on the given path.
@@ -59,7 +57,7 @@ class Part:
 
     @property
     def of_folder(self) -> bool:
-        """Whether the user gave its folder."""
+        """Return whether the user gave its folder."""
         return self.given != self.path
 
 
@@ -67,7 +65,7 @@ def parts_of(paths: Sequence[Path]) -> list[Part]:
     """Return the files that paths stand for.
 
     Raises:
-        RunError: a path cannot be read, is no recording, or is of a format that is not read.
+        RunError: a path cannot be read, is no recording, or has an unsupported format.
     """
     found: list[Part] = []
     for path in (path if path.name not in ("", "..") else path.resolve() for path in paths):
@@ -94,7 +92,7 @@ def _part(given: Path, path: Path) -> Part:
 
 @contextmanager
 def called(file: Path, path: Path) -> Iterator[None]:
-    """Make errors name the path that the user gave, not the unpacked file."""
+    """Make errors show the path given by the user, not the unpacked file."""
     try:
         yield
     except RunError as fault:
@@ -105,7 +103,7 @@ def called(file: Path, path: Path) -> Iterator[None]:
 
 @contextmanager
 def named(parts: Sequence[Part]) -> Iterator[None]:
-    """Make errors name the paths that the user gave, as `called` does, for all files."""
+    """Make errors show the paths given by the user, as `called` does, for all files."""
     with ExitStack() as stack:
         for part in parts:
             stack.enter_context(called(part.file, part.path))
@@ -127,7 +125,7 @@ def open_topic(part: Part, topic: str | None, most: int | None = None) -> Column
     """Open a topic of a recording.
 
     Raises:
-        RunError: it is damaged, or the topic is not there.
+        RunError: it is damaged, or the topic is absent.
     """
     with called(part.file, part.path):
         if part.kind == "db3":
@@ -139,7 +137,7 @@ def open_parts(parts: Sequence[Part], log: Log) -> Columns:
     """Open the files of one log of a mapping.
 
     Raises:
-        RunError: one of them cannot be read, or they are no parts of one recording.
+        RunError: one of them cannot be read, or they are not parts of one recording.
     """
     first = parts[0]
     if first.kind in RECORDINGS:
@@ -158,10 +156,7 @@ def open_parts(parts: Sequence[Part], log: Log) -> Columns:
 
 
 def _check_alike(path: Path, opened: Sequence[tuple[str, Columns]], log: Log) -> None:
-    """Raise RunError if files are no parts of one log.
-
-    A column is then missing in one of them, or units differ.
-    """
+    """Raise RunError if files are not parts of one log: a column is missing, or units differ."""
     asked = [column for column in columns_named(log) if isinstance(column, str)]
     known = {column for column in asked if any(column in columns.names for _, columns in opened)}
     for name, columns in opened:
@@ -181,7 +176,7 @@ def _check_alike(path: Path, opened: Sequence[tuple[str, Columns]], log: Log) ->
 
 
 def _recording(parts: Sequence[Part], topic: str | None, most: int | None = None) -> Columns:
-    """Open a topic of a recording that may lie in several files."""
+    """Open a topic of a recording in one or several files."""
     if len(parts) == 1:
         return open_topic(parts[0], topic, most)
     held = [[one for one in topics_of(part) if one.count] for part in parts]
@@ -201,7 +196,7 @@ def _recording(parts: Sequence[Part], topic: str | None, most: int | None = None
 
 
 def open_recording(parts: Sequence[Part], topic: str, most: int) -> Columns:
-    """Open the first messages of a topic of a recording that may lie in several files.
+    """Open the first messages of a topic of a recording in one or several files.
 
     Raises:
         RunError: as `open_parts`.
@@ -210,11 +205,9 @@ def open_recording(parts: Sequence[Part], topic: str, most: int) -> Columns:
 
 
 def groups_of(parts: Sequence[Part]) -> list[list[Part]]:
-    """Return files in groups: the parts of one recording together.
+    """Return files in groups: parts of one recording, by folder or by names with different numbers.
 
-    By their folder, or by names that differ in numbers.
-
-    A dataset of several files is one group as well; every other file is alone.
+    A dataset of several files is also one group; every other file is alone.
     """
     found: dict[tuple[str, str], list[Part]] = {}
     for part in parts:
@@ -226,7 +219,7 @@ def groups_of(parts: Sequence[Part]) -> list[list[Part]]:
 
 
 def pattern_of(group: Sequence[Part]) -> str:
-    """Return the `file` of a group in a mapping."""
+    """Return the `file` of a group for a mapping."""
     first = group[0]
     if first.of_folder or len(group) == 1:
         return glob.escape(first.given.name)
@@ -243,7 +236,7 @@ class Chosen:
 
     @property
     def path(self) -> Path:
-        """The path that messages name."""
+        """The path shown in messages."""
         return self.parts[0].path if len(self.parts) == 1 else self.parts[0].given
 
 
@@ -251,8 +244,8 @@ def assign(parts: list[Part], mapping: Mapping) -> tuple[Mapping, list[Chosen]]:
     """Find the files of each log of a mapping.
 
     Returns:
-        The mapping, in which logs that differ in `file` alone are merged, and the files of each of
-        its logs.
+        The mapping, with logs merged that differ only in `file`, and the files of each of its
+        logs.
 
     Raises:
         RunError: a `file` fits no given file; a log has no file, or several that are no parts of
@@ -264,7 +257,7 @@ def assign(parts: list[Part], mapping: Mapping) -> tuple[Mapping, list[Chosen]]:
     if len(logs) == 1 and len(parts) == 1:
         return mapping, [_chosen(parts)]
     chosen = [_fitting(parts, log, names, mapping) for log, names in zip(logs, patterns)]
-    # of a folder other logs, or none, may take the rest
+    # files of a folder may belong to other logs or to none
     used = {part.given for fits in chosen for part in fits}
     spare = list(dict.fromkeys(part.given.name for part in parts if part.given not in used))
     named = ", ".join(pattern for names in patterns for pattern in names)
@@ -307,7 +300,7 @@ def _chosen(parts: list[Part]) -> Chosen:
 
 
 def _alike(logs: tuple[Log, ...]) -> tuple[list[Log], list[list[str]]]:
-    """Return logs that differ in more than their file, and the patterns of their files."""
+    """Return logs that differ in more than `file`, and the patterns of their files."""
     found: dict[str, tuple[Log, list[str]]] = {}
     for log in logs:
         key = (
@@ -331,7 +324,7 @@ def _described(value: object) -> str:
 
 
 def _fitting(parts: list[Part], log: Log, patterns: list[str], mapping: Mapping) -> list[Part]:
-    """Return the files that a log means: one, or the parts of one recording."""
+    """Return the files of a log: one, or the parts of one recording."""
     fits = [part for part in parts if any(_matches(part, pattern) for pattern in patterns)]
     if len(fits) > 1 and all(part.kind == "parquet" for part in fits):
         fits = _with_episode(fits, log, mapping)
@@ -353,7 +346,7 @@ def _fitting(parts: list[Part], log: Log, patterns: list[str], mapping: Mapping)
 
 
 def _with_episode(fits: list[Part], log: Log, mapping: Mapping) -> list[Part]:
-    """Return the file of a dataset that holds the episode of a log."""
+    """Return the file of a dataset that contains the episode of a log."""
     if log.episode is None:
         raise RunError(
             f"{mapping.path}: {fits[0].given.name} holds many episodes in {len(fits)} files, and "

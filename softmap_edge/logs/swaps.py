@@ -1,11 +1,11 @@
-"""Markers that change places: two labels whose points exchange between one frame and the next.
+"""Find markers that swap labels between two consecutive frames.
 
-Between frames a marker moves little compared with its distance to the others. Where each of some markers
-is nearest to the last place of another of them, the labels were exchanged. A dropout in between is
-bridged for half a second. The labels of most frames are the right ones: a tracker may have begun
-with exchanged ones. Known limits: labels that exchange while one of them is not seen, and moves
-between frames of more than 0.3 of the distance between two markers, are not examined. Pinned by
-tests/logs/test_import_markers.py.
+Between frames a marker moves little compared with its distance to the others. If each of some
+markers is nearest to the last position of another of them, the labels were swapped. Dropouts of up
+to half a second are bridged. The labels of most frames are taken as right, because a tracker may
+have started with swapped ones. Known limits: swaps while one of the markers is not seen, and
+motion between frames of more than 0.3 of the distance between two markers, are not examined. Pinned
+by tests/logs/test_import_markers.py.
 """
 
 from __future__ import annotations
@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-BRIDGED = 0.5  # s without a sight of a marker after which its last place is of no use
+BRIDGED = 0.5  # s, longest dropout of a marker after which its last position is used
 _CLEAR = (
-    # of the distance between two markers: what a marker may have moved when it is distinguished
-    # from the other
+    # of the distance between two markers: largest motion at which they can be distinguished
     0.3
 )
 _CHUNK = 2**19  # distances in memory at a time
@@ -27,7 +26,7 @@ _CHUNK = 2**19  # distances in memory at a time
 
 @dataclass(frozen=True)
 class Swap:
-    """At `frame` the markers `after` show what the markers `before` showed until then."""
+    """A swap: from `frame` on, the markers `after` show what the markers `before` showed."""
 
     frame: int
     t: float | None  # s; None in a log without time
@@ -42,7 +41,7 @@ class Swap:
 
 
 def find_swaps(points: Array, t: Array, labels: tuple[str, ...]) -> list[Swap]:
-    """Find where markers change places.
+    """Find where markers swap labels.
 
     Args:
         points: (K, M, 3), NaN where a marker was not seen.
@@ -52,7 +51,7 @@ def find_swaps(points: Array, t: Array, labels: tuple[str, ...]) -> list[Swap]:
     frames, count = points.shape[:2]
     if count < 2 or frames < 2:
         return []
-    last = _last_seen(points, t)  # (K, M, 3): where each marker was seen before this frame
+    last = _last_seen(points, t)  # (K, M, 3): last position of each marker before this frame
     step = max(1, _CHUNK // count**2)
     found: list[Swap] = []
     for start in range(0, frames, step):
@@ -72,15 +71,16 @@ def find_swaps(points: Array, t: Array, labels: tuple[str, ...]) -> list[Swap]:
 
 
 def mend_swaps(points: Array, swaps: list[Swap]) -> tuple[Array, bool]:
-    """Undo every swap: each label shows the marker that it shows in most frames.
+    """Reverse every swap, so that each label shows its marker of most frames.
 
     Args:
-        points: (K, M, 3). swaps: in the order of their frames.
+        points: (K, M, 3).
+        swaps: in frame order.
 
     Returns:
-        The points (K, M, 3), and whether the first frame has the names of most frames.
+        The points (K, M, 3), and whether the labels of the first frame are those of most frames.
     """
-    shown = np.arange(points.shape[1])  # which marker of the first frame each label shows
+    shown = np.arange(points.shape[1])  # marker of the first frame that each label shows
     stretches = [(0, shown)]
     for swap in swaps:
         turned = shown.copy()
@@ -91,8 +91,8 @@ def mend_swaps(points: Array, swaps: list[Swap]) -> tuple[Array, bool]:
     frames: dict[tuple[int, ...], int] = {}
     for (start, shown), end in zip(stretches, ends):
         frames[tuple(shown.tolist())] = frames.get(tuple(shown.tolist()), 0) + end - start
-    usual = np.array(max(frames, key=lambda names: frames[names]))  # the first of equal ones
-    label = np.argsort(usual)  # of each marker
+    usual = np.array(max(frames, key=lambda names: frames[names]))  # the first of equals
+    label = np.argsort(usual)  # label of each marker
     mended = points.copy()
     for (start, shown), end in zip(stretches, ends):
         mended[start:end, label[shown]] = points[start:end]
@@ -100,7 +100,7 @@ def mend_swaps(points: Array, swaps: list[Swap]) -> tuple[Array, bool]:
 
 
 def _last_seen(points: Array, t: Array) -> Array:
-    """Where each marker was seen last before each frame; NaN where that is too long ago."""
+    """Return the last position of each marker before each frame; NaN if too long ago."""
     seen = np.isfinite(points).all(axis=2)
     row = np.where(seen, np.arange(len(points))[:, None], -1)
     row = np.vstack([np.full((1, points.shape[1]), -1), np.maximum.accumulate(row, axis=0)[:-1]])

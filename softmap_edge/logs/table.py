@@ -1,9 +1,8 @@
-"""Read the columns of one log that a mapping names, and its time; report what is odd about either.
+"""Read a log's columns that a mapping lists, and its time; report anything suspicious.
 
-Whatever the format, a log is named columns (`softmap_edge/logs/`, one reader each). A row that
-repeats the row before, time and all, is left out. A time that stands still or goes backwards is
-refused unless the mapping states a treatment. Missing rows are counted where the log has a regular
-clock.
+Every format gives named columns (`softmap_edge/logs/`, one reader each). A row that repeats the
+previous one, including its time, is left out. Time that does not increase is rejected unless the
+mapping states a treatment. Missing rows are counted if the log has a regular clock.
 """
 
 from __future__ import annotations
@@ -42,14 +41,14 @@ _VENDORS: dict[str, Callable[[Path], Columns]] = {
     "nexus": open_nexus,
     "typed": open_typed,
 }
-_TOLD = 6  # columns that are named
-_NAMED = 8  # missing columns that are named
+_TOLD = 6  # columns that are listed
+_NAMED = 8  # missing columns that are listed
 _WIDTH = 200  # characters of a list of columns
 
 
 @dataclass(frozen=True)
 class LogTable:
-    """The cells of one log that a mapping asks for."""
+    """The cells of one log that a mapping requests."""
 
     path: Path
     t: Array  # (rows,) s
@@ -61,22 +60,22 @@ class LogTable:
     doubts: tuple[str, ...] = ()
 
     def numbers(self, columns: tuple[Column, ...]) -> Array:
-        """Return (rows, len(columns)); absent cells are NaN."""
+        """Return (rows, len(columns)); missing cells are NaN."""
         return np.stack(
             [self.values[place(self.path, self.names, column)] for column in columns], axis=1
         )
 
     def texts(self) -> NDArray[np.generic]:
-        """Return the (rows,) labels."""
+        """Return the labels (rows,)."""
         assert self.labels is not None
         return self.labels
 
     def unit(self, column: Column) -> str | None:
-        """Return the unit of a column, where the file states one."""
+        """Return the unit of a column if the file states one."""
         return self.units.get(self.names[place(self.path, self.names, column)])
 
     def rows(self, keep: NDArray[np.bool_]) -> LogTable:
-        """Return the same with the rows (rows,) to `keep`."""
+        """Return a copy with the rows where `keep` (rows,) is true."""
         values = {k: column[keep] for k, column in self.values.items()}
         return replace(
             self,
@@ -87,10 +86,10 @@ class LogTable:
 
 
 def open_log(path: Path, log: Log | None = None) -> Columns:
-    """Open a log of whatever format; without `log` everything about it is found.
+    """Open a log of any format; without `log` its layout is detected.
 
     Raises:
-        RunError: it is absent, damaged, or in no format that is read here.
+        RunError: it is absent or damaged, or has an unsupported format.
     """
     kind = kind_of(path)
     if kind == "c3d":
@@ -124,12 +123,12 @@ def open_log(path: Path, log: Log | None = None) -> Columns:
 
 
 def read_log(path: Path, log: Log, columns: Columns | None = None) -> LogTable:
-    """Read the columns of one log that the mapping names.
+    """Read the columns of one log that its mapping lists.
 
     Args:
         path: the log.
         log: its entry in the mapping.
-        columns: the log, if it is open already.
+        columns: the log, if already open.
 
     Raises:
         RunError: the file is absent or too large, a column is missing, or a line cannot be read.
@@ -167,7 +166,7 @@ def read_log(path: Path, log: Log, columns: Columns | None = None) -> LogTable:
 
 
 def columns_named(log: Log) -> list[Column]:
-    """Return the columns of numbers that a log of a mapping names, time first."""
+    """Return the number columns listed for a log in a mapping, time first."""
     found: list[Column] = [*log.clock.columns]
     found += [column for quantity in log.rows.values() for column in quantity.columns]
     found += [
@@ -180,7 +179,7 @@ def columns_named(log: Log) -> list[Column]:
 
 
 def _cut(path: Path, cells: Cells, log: Log) -> Cells:
-    """The rows from `from_row` to `to_row`."""
+    """Return the rows from `from_row` to `to_row`."""
     if log.from_row == 0 and log.to_row is None:
         return cells
     row, last = np.arange(len(cells.numbers)), len(cells.numbers) - 1
@@ -198,7 +197,7 @@ def _cut(path: Path, cells: Cells, log: Log) -> Cells:
 
 
 def _assumed(clock: Clock, rows: int) -> tuple[str, ...]:
-    """Return a sentence if the times come from a rate that is not confirmed."""
+    """Return a sentence if the times are based on an unconfirmed rate."""
     if not clock.assumed:
         return ()
     what = "the number of the row" if clock.column is None else f"'{clock.column}'"
@@ -210,7 +209,7 @@ def _assumed(clock: Clock, rows: int) -> tuple[str, ...]:
 
 
 def place(path: Path, names: list[str], column: Column) -> int:
-    """Return the position of a column given by name or by number.
+    """Return the position of a column given by name or number.
 
     Raises:
         RunError: there is no such column, or several have this name.
@@ -230,7 +229,7 @@ def place(path: Path, names: list[str], column: Column) -> int:
 
 
 def _listed(names: list[str]) -> str:
-    """Return the names of columns for a message, and how many of them are left out."""
+    """Return column names for a message, and the number of those omitted."""
     shown = names[:1]
     for name in names[1:]:
         if len(", ".join([*shown, name])) > _WIDTH:
@@ -263,10 +262,10 @@ def _all_there(path: Path, columns: Columns, wanted: list[Column], delimiter: st
 
 
 def header_hint(line: int | None) -> str:
-    """Return the line of the names and the remedies if it is wrong; "" of other formats.
+    """Return the line of the names with remedies if it is wrong; "" for other formats.
 
     Args:
-        columns: the log, or what else has its `head_line`.
+        line: the line number of the column names, if any.
     """
     if line is None:
         return ""
@@ -277,7 +276,7 @@ def header_hint(line: int | None) -> str:
 
 
 def _finite(cells: Cells, places: list[int], names: list[str]) -> Cells:
-    """Return the cells with infinite numbers as absent ones, and a note on them."""
+    """Return the cells with infinite numbers as missing, and a note on them."""
     count = np.isinf(cells.numbers).sum(axis=0)
     if not count.any():
         return cells
@@ -295,7 +294,7 @@ def _within_reason(
     path: Path, where: str, cells: Cells, places: list[int], names: list[str]
 ) -> None:
     for j, column in enumerate(places):
-        wild = np.abs(cells.numbers[:, j]) > LARGEST  # NaN is an absent cell
+        wild = np.abs(cells.numbers[:, j]) > LARGEST  # NaN is a missing cell
         if wild.any():
             row = int(np.argmax(wild))
             raise RunError(
@@ -307,9 +306,8 @@ def _within_reason(
 def _set_aside(where: str, cells: Cells, clocks: list[int]) -> tuple[Cells, list[str]]:
     """Leave out rows with a time but no other column of the mapping.
 
-    Those are of another publisher or device.
-
-    Messages always; rows of other logs where time does not rise with them.
+    They come from another publisher or device. For messages this always applies; for other logs
+    only to rows where time does not rise.
     """
     rest = np.delete(cells.numbers, clocks, axis=1)
     bare = np.asarray(np.isnan(rest).all(axis=1))
@@ -328,18 +326,18 @@ def _set_aside(where: str, cells: Cells, clocks: list[int]) -> tuple[Cells, list
 
 
 def raw_times(path: Path, columns: Columns, cells: Cells, places: list[int], clock: Clock) -> Array:
-    """Return the times (rows,) s as the log has them; NaN where it has none.
+    """Return the times (rows,) s as in the log; NaN where missing.
 
     Args:
         path: the log, for messages.
-        columns: the log, opened.
-        cells: those of its columns `places`, which hold the columns of time.
+        columns: the open log.
+        cells: those of its columns `places`, including the time columns.
         places: positions of columns.
-        clock: the time that the mapping declares.
+        clock: the time declared by the mapping.
 
     Raises:
-        RunError: there is no such column, it holds dates where numbers are declared, or fractions
-            where it is declared to count.
+        RunError: a column is absent, or holds dates instead of the declared numbers, or fractions
+            instead of counts.
     """
     if clock.column is None:
         return np.arange(len(cells.numbers), dtype=float) * clock.seconds + clock.offset_s
@@ -364,7 +362,7 @@ def raw_times(path: Path, columns: Columns, cells: Cells, places: list[int], clo
 
 
 def _refuse_fractions(path: Path, where: str, name: str, counts: Array, cells: Cells) -> None:
-    """Refuse a counter of frames or rows that holds fractions."""
+    """Reject a counter of frames or rows that holds fractions."""
     broken = fractions(counts)
     if not broken.any():
         return

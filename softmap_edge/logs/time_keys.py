@@ -17,33 +17,33 @@ KEYS = (
     *("column", "unit", "rate_hz", "columns", "units", "offset_s"),
     *("repeated", "jumps", "date_order", "assumed"),
 )
-NO_TIME = "none"  # the `time` of a log without time: its rows are counted
+NO_TIME = "none"  # the `time` of a log without time: rows are counted
 TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}  # → s
 
-_WHOLE = 1e-6  # of a count: as far from a whole number as text with few digits may be
+_WHOLE = 1e-6  # of a count: rounding error of text with few digits
 
 
 def fractions(counts: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which of some counts (rows,) are no whole numbers; an absent one is none of them."""
+    """Return which counts (rows,) are not whole numbers; missing ones are not included."""
     return np.isfinite(counts) & (np.abs(counts - np.rint(counts)) > _WHOLE)
 
 
 @dataclass(frozen=True)
 class Clock:
-    """The time of a log: columns in units, a counter at a rate, the row number at a rate, or none.
+    """The time of a log: columns with units, a counter or row number at a rate, or none.
 
     Attributes:
-        column: the column of time, or of the seconds; None for the number of the row.
-        seconds: s of one unit, or of one count.
+        column: the column of time, or of the seconds; None for the row number.
+        seconds: s per unit, or per count.
         offset_s: added to every time.
-        repeated: the treatment of rows whose time does not increase.
+        repeated: treatment of rows whose time does not increase.
         timeless: whether the log has no time.
-        date_order: `dmy` or `mdy` of dates such as 5/7/2031; None where the rows decide.
-        more: columns that are added, with s of one unit of each: nanoseconds to seconds, a time of
-            day to a date.
-        jumps: `mend` to count on over a roll-over, and to remove one step of a clock that was set.
+        date_order: `dmy` or `mdy` for dates such as 5/7/2031; None: the rows decide.
+        more: columns to add, with s per unit of each: nanoseconds to seconds, a time of day to a
+            date.
+        jumps: `mend` to unwrap a roll-over, and to remove one step of a set clock.
         assumed: whether the rate is an assumption.
-        counter: whether the column counts rows or frames, at the rate that the mapping gives.
+        counter: whether the column counts rows or frames, at the rate in the mapping.
     """
 
     column: Column | None
@@ -59,7 +59,7 @@ class Clock:
 
     @property
     def columns(self) -> list[Column]:
-        """The columns that time is made of."""
+        """The columns that form the time."""
         return [
             *([] if self.column is None else [self.column]),
             *(column for column, _ in self.more),
@@ -67,10 +67,10 @@ class Clock:
 
 
 def clock_of(log: TomlTable) -> Clock:
-    """Return the time that a `[[log]]` declares.
+    """Return the time declared by a `[[log]]`.
 
     Raises:
-        RunError: it declares none, or a key is wrong.
+        RunError: it declares none, or a key is invalid.
     """
     given = log.values.get("time")
     if given == NO_TIME:
@@ -119,7 +119,7 @@ def _date_order(time: TomlTable) -> str | None:
 
 
 def _columns(time: TomlTable) -> list[tuple[Column, float]]:
-    """The columns that are added up to a time, with s of one unit of each."""
+    """Return the columns that are summed to a time, with s per unit of each."""
     listed = time.get("columns", (list,))
     units = time.get("units", (list,))
     if listed is None:

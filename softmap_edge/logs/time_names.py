@@ -1,7 +1,4 @@
-"""Recognise names of time columns, and their units: `millis`, `timeMs`, `t_usec`.
-
-The unit is a word of the name.
-"""
+"""Recognise names of time columns and the units in them: `millis`, `timeMs`, `t_usec`."""
 
 from __future__ import annotations
 
@@ -59,15 +56,15 @@ _WORD = re.compile(r"[A-Z]?[a-zµμ]+|[A-Z]+")
 
 
 def time_unit(name: str) -> str | None:
-    """Return the unit of time that the last word of a name is; None if it is none."""
+    """Return the time unit in the last word of a name; None if there is none."""
     words = _WORD.findall(name)
     return _UNIT.get(words[-1].lower()) if words else None
 
 
 def is_time_unit(name: str) -> bool:
-    """Whether a name is only a unit of time below a second, as `millis` of Arduino.
+    """Return whether a name is only a time unit below a second, such as Arduino's `millis`.
 
-    `elapsed` may come with it.
+    It may be combined with `elapsed`.
     """
     words = [word.lower() for word in _WORD.findall(name)]
     return (
@@ -78,6 +75,6 @@ def is_time_unit(name: str) -> bool:
 
 
 def is_time_name(name: str) -> bool:
-    """Whether a column has the name of a time; its unit may stand behind it in brackets."""
+    """Return whether a column is named like a time; a unit may follow in brackets."""
     bare = re.sub(r"[\[(].*?[\])]", "", name).strip()
     return TIME_NAME.search(bare) is not None or is_time_unit(bare)

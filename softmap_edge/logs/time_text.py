@@ -11,7 +11,7 @@
 
 Days with dots are day.month.year. Others are read in both orders; a value above 12 or the sequence
 of the rows decides (`TimeText.settle`). A time of day that falls by most of its period has passed
-midnight and counts on. Pinned by tests/logs/test_time_text.py.
+midnight and is unwrapped. Pinned by tests/logs/test_time_text.py.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ Array = NDArray[np.float64]
 ORDERS = ("dmy", "mdy")
 DAY, HOUR = 86400.0, 3600.0
 _LONGEST = 48  # characters of a time
-_MOST = 0.9  # of the cells: if so many are times, the others are faults of the file
-# an order of day and month whose largest step is so many times smaller is the right one
+_MOST = 0.9  # of the cells: if this many are times, the others are faults of the file
+# ratio of the largest steps at which one day-month order is clearly right
 _CLEARER = 5.0
 _DOTTED = re.compile(r"\d{1,2}\.\d{1,2}\.\d").search  # a local date is day.month.year
 # two digits after a colon are frames of a film, no fraction
@@ -119,7 +119,7 @@ class TimeTextError(ValueError):
 
 @dataclass(frozen=True)
 class TimeText:
-    """How the times of one column are written.
+    """The format of the times in one column.
 
     Attributes:
         form: `ymd`, `local`, `named` or `day`.
@@ -140,7 +140,7 @@ class TimeText:
         """Return the seconds (rows, 2) of times in both day-month orders; NaN if empty.
 
         Raises:
-            TimeTextError: a cell is no time of this form; `args[1]` is its row.
+            TimeTextError: a cell does not have this form; `args[1]` is its row.
         """
         both = np.full((len(cells), 2), np.nan)
         known: dict[tuple[str, ...], tuple[float, float]] = {}
@@ -166,7 +166,7 @@ class TimeText:
     def settle(self, both: Array) -> tuple[Array, str | None]:
         """Return the seconds (rows,) in the right order, and a note on how they were read.
 
-        Both orders' seconds are (rows, 2).
+        `both` holds the seconds in both orders, (rows, 2).
 
         Raises:
             TimeTextError: the rows do not decide between day/month and month/day.
@@ -212,7 +212,7 @@ def is_time(cell: str) -> bool:
 
 
 def form_of(cell: str) -> str | None:
-    """Return the form in which a time is written; None if the cell is no time."""
+    """Return the form of a time; None if the cell is not a time."""
     cell = cell.strip()
     if (
         not 4 <= len(cell) <= _LONGEST
@@ -227,11 +227,11 @@ def form_of(cell: str) -> str | None:
 
 
 def time_text_of(cells: Sequence[str], order: str | None = None) -> TimeText | None:
-    """Return how a column's times are written, by its first cells; None if they are none.
+    """Return the format of a column's times from its first cells; None if they are not times.
 
     Args:
-        cells: the first cells; empty ones do not count, and one in ten may be something else.
-        order: `dmy` or `mdy` of local dates, where a mapping gives it.
+        cells: the first cells; empty ones are ignored, and one in ten may be something else.
+        order: `dmy` or `mdy` for local dates, if a mapping gives it.
     """
     filled = [cell.strip() for cell in cells if cell.strip()]
     forms = [form_of(cell) for cell in filled]
@@ -248,9 +248,9 @@ def time_text_of(cells: Sequence[str], order: str | None = None) -> TimeText | N
 
 
 def counted_on(seconds: Array, period: float) -> tuple[Array, str | None]:
-    """Return times (rows,) of a day counted on past midnight, and a note.
+    """Return times of day (rows,) unwrapped past midnight, and a note.
 
-    They are counted on where they fall by more than half a `period` (s).
+    They are unwrapped where they fall by more than half a `period` (s).
     """
     known = np.flatnonzero(np.isfinite(seconds))
     falls = np.diff(seconds[known]) < -0.5 * period
@@ -265,15 +265,13 @@ def counted_on(seconds: Array, period: float) -> tuple[Array, str | None]:
 
 
 def common_order(parts: Sequence[Array]) -> str | None:
-    """Return the day-month order of a log's parts, `dmy` or `mdy`; None if both agree.
-
-    It then makes no difference.
+    """Return the day-month order of a log's parts, `dmy` or `mdy`; None if both give the same.
 
     Args:
         parts: the seconds (rows, 2) of the dates of each part, in both orders.
 
     Raises:
-        TimeTextError: no order fits all parts, or the parts do not decide between them.
+        TimeTextError: no order fits all parts, or the parts do not decide.
     """
     known = [both[~np.isnan(both).all(axis=1)] for both in parts]
     known = [both for both in known if len(both)]
@@ -299,14 +297,13 @@ def common_order(parts: Sequence[Array]) -> str | None:
 def around_the_clock(
     spans: Sequence[tuple[float, float]], period: float
 ) -> tuple[list[int], list[int]]:
-    """Return the order of parts whose times restart after a period, and the turns to add.
+    """Return the order of parts whose times restart after a period, and the turns to add to each.
 
-    Each part has its turns.
-
-    Of all orders on the circle of the clock, that with the shortest longest pause is taken.
+    Of all orders on the circle of the clock, the one with the shortest longest pause is chosen.
 
     Args:
-        spans: the first and the last time (s) of each part. period: s, of a day or an hour.
+        spans: the first and the last time (s) of each part.
+        period: s, of a day or an hour.
     """
     begins = [begin % period for begin, _ in spans]
     lengths = [end - begin for begin, end in spans]
@@ -328,7 +325,7 @@ def around_the_clock(
 
 
 def _ordered(both: Array) -> tuple[Array, str | None]:
-    """Return the times in the order of day and month that the rows allow, and a note."""
+    """Return the times in the day-month order that the rows allow, and a note."""
     there = ~np.isnan(both).all(axis=1)
     possible = [not np.isnan(both[there, k]).any() for k in (0, 1)]
     if not any(possible):
@@ -352,7 +349,7 @@ def _ordered(both: Array) -> tuple[Array, str | None]:
 def seconds_of(
     found: re.Match[str], known: dict[tuple[str, ...], tuple[float, float]], unpadded: int
 ) -> tuple[float, float]:
-    """Seconds of one time in both day-month orders; NaN if no such day exists."""
+    """Return the seconds of one time in both day-month orders; NaN for an impossible day."""
     part = found.groupdict()
     of_day = _of_day(part, unpadded)
     if part.get("y") is None:
@@ -380,7 +377,7 @@ def _of_day(part: dict[str, str | None], unpadded: int) -> float:
 
 
 def _days(first: str, second: str, year: str, named: str) -> tuple[float, float]:
-    """Days since 1970 of two numbers as day and month, and as month and day."""
+    """Return days since 1970 with two numbers as day and month, and as month and day."""
     y = int(year) + (2000 if len(year) == 2 else 0)
     if named:
         day = _day(y, _MONTHS[second[:3].lower()][0], int(first))
@@ -397,7 +394,7 @@ def _day(year: int, month: int, day: int) -> float:
 
 
 def _zone(text: str | None) -> float:
-    """The offset of a zone from UTC in s."""
+    """Return the offset of a time zone from UTC in s."""
     if text is None or text[0] not in "+-":
         return 0.0
     digits = text[1:].replace(":", "").ljust(4, "0")

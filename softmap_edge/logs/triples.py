@@ -1,21 +1,19 @@
-"""Find the triples of columns that are x, y, z of a place, and why others are none.
-
-All other triples are named.
+"""Find the column triples that are x, y, z of a position, and list the others with the reason.
 
 A triple is found by its names: `tip_x, tip_y, tip_z`, `x1, y1, z1`, `p_tip(1), p_tip(2), p_tip(3)`.
-Forces, angles and rates are triples too. Three things decide, in this order:
+Forces, angles and rates are triples too. Three criteria decide, in this order:
 
-    name    `force`, `rpy`, `omega`: no place. `tip`, `marker`, `position`, a column whose unit is a
-            length: a place
-    values  a triple that never changes is an offset; one whose length stays 1 or 9.81 is a
-            direction or gravity; one
-            that is called desired or computed and follows a place was not seen (`goals.py`)
-    size    any other name counts as a place only if it fits the places: near them, within a factor
-            `FITS` of their
-            distance from the origin, and not within ±π, where angles and unit vectors are
+    name    `force`, `rpy`, `omega`: no position. `tip`, `marker`, `position`, or a column with a
+            length unit: a position
+    values  a triple that never changes is an offset; one of constant length 1 or 9.81 is a
+            direction or gravity; one that is called desired or computed and follows a position was
+            not measured (`goals.py`)
+    size    any other name counts only if it fits the known positions: near them, within a factor
+            `FITS` of their distance from the origin, and not within ±π, the range of angles and
+            unit vectors
 
-Triples whose names differ in digits only (`m1`, `m2`, `m3`) are classified together. In doubt a
-triple is left out. Pinned by tests/logs/test_triples.py.
+Triples whose names differ only in digits (`m1`, `m2`, `m3`) are classified together. Doubtful
+triples are left out. Pinned by tests/logs/test_triples.py.
 """
 
 from __future__ import annotations
@@ -34,14 +32,13 @@ from softmap_edge.logs.plausible import is_base
 Array = NDArray[np.float64]
 Rows = Callable[[list[str]], Array]
 
-FITS = 100.0  # times larger or smaller than the places: markers of one robot differ by less
-# times the extent of the places, and 0.9 of their distance from the origin: how far apart markers
-# are
+FITS = 100.0  # ratio of sizes within one robot's markers at most
+# times the extent of the positions, and 0.9 of their distance from the origin: range of markers
 NEAR = 10.0
 LONGEST = 200  # characters of a name
-STEADY = 1e-3  # of its length, by which a triple of constant length varies
+STEADY = 1e-3  # of its length: variation of a triple of constant length
 _OFFSET = "an offset, for they never change"
-DIRECTIONS = (1.0, 9.81)  # the length of a direction, and of gravity in m/s²
+DIRECTIONS = (1.0, 9.81)  # length of a direction, and of gravity in m/s²
 
 _OTHER: tuple[tuple[str, str], ...] = (
     (
@@ -65,9 +62,9 @@ _PLACE = re.compile(
     re.IGNORECASE,
 )
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+|[^\W\d_]+")
-# F1, q2: one letter is no place, with a number or without
+# F1, q2: these letters are not positions, with a number or without
 _NUMBERED_OTHER = {"f", "g", "q", "w", "v"}
-# without a number: m1 is a marker, M a torque
+# without a number; m1 is a marker, M a torque
 _SHORT_OTHER = {*_NUMBERED_OTHER, "a", "b", "e", "i", "m", "n", "r"}
 _SHORT_PLACE = {"p", "m", "mk", "pt", "ee"}
 _INDEX = re.compile(r"^(.*[^\d,\s(\[{])?\s*([(\[{])\s*((?:\d+\s*,\s*)*)(\d+)\s*([)\]}])$")
@@ -75,7 +72,7 @@ _INDEX = re.compile(r"^(.*[^\d,\s(\[{])?\s*([(\[{])\s*((?:\d+\s*,\s*)*)(\d+)\s*(
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Columns that come in threes, or a pair, and are not taken for a place."""
+    """Columns in a triple or a pair that are not taken as a position."""
 
     columns: tuple[str, ...]
     why: str
@@ -83,39 +80,39 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class Triples:
-    """The triples of a log: the places, in the file's order, and the columns that were left out."""
+    """The triples of a log: the positions, in the file's order, and the columns left out."""
 
     places: list[list[str]] = field(default_factory=list)
     left: list[LeftOut] = field(default_factory=list)
-    # of the places, those with uninformative names
+    # positions with uninformative names
     by_size: list[list[str]] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A triple of columns, its name without axis and digits, and whether it names a place."""
+    """A triple of columns, its name without axis and digits, and whether that names a position."""
 
     columns: list[str]
     stem: str
     named: bool
-    other: str | None  # the other quantity that its name indicates
-    size: float  # distance from the origin, median
+    other: str | None  # another quantity indicated by its name
+    size: float  # median distance from the origin
     largest: float
-    steady: str | None  # the other quantity that its values indicate
-    middle: Array  # (3,) median place
-    extent: float  # of its places
+    steady: str | None  # another quantity indicated by its values
+    middle: Array  # (3,) median position
+    extent: float  # of its positions
 
 
 def find_triples(
     names: Sequence[str], bare: Sequence[str], rows: Rows, is_length: Callable[[str], bool]
 ) -> Triples:
-    """Find the places among the columns of a log.
+    """Find the positions among the columns of a log.
 
     Args:
-        names: the columns of numbers, each name once.
-        bare: their names in the file, where a name may be there several times.
-        rows: gives the numbers (rows, n) of n columns.
-        is_length: whether the file states a length as the unit of a column.
+        names: number columns, each name once.
+        bare: their names in the file, which may repeat.
+        rows: returns the numbers (rows, n) of n columns.
+        is_length: whether the file states a length unit for a column.
     """
     found = list(_triples(list(names), list(bare), rows))
     fours = [columns for columns, _ in found if len(columns) == 4]
@@ -137,7 +134,7 @@ def find_triples(
 def _seen_only(
     accepted: list[list[_Candidate]], goals: list[list[str]], rows: Rows
 ) -> tuple[list[list[_Candidate]], list[LeftOut]]:
-    """Return the families of seen places, and the triples that repeat one's motion."""
+    """Return the families of measured positions, and the triples that repeat one's motion."""
     stems = [one.stem for family in accepted for one in family]
     doubtful = [family for family in accepted if is_computed(family[0].stem, stems)]
     seen = [family for family in accepted if family not in doubtful]
@@ -158,14 +155,14 @@ def _seen_only(
 
 
 def _goals(names: list[str], bare: list[str]) -> Iterator[list[str]]:
-    """Yield the triples whose names mark them as goals."""
+    """Yield the triples with names of goals."""
     return (
         columns for columns, stem in _by_letter(names, bare) if len(columns) == 3 and is_goal(stem)
     )
 
 
 def _families(candidates: list[_Candidate]) -> list[list[_Candidate]]:
-    """Return the candidates in sets of which the names differ in digits only."""
+    """Return the candidates in sets whose names differ only in digits."""
     families: dict[str, list[_Candidate]] = {}
     for one in candidates:
         families.setdefault(without_numbers(one.stem), []).append(one)
@@ -173,7 +170,7 @@ def _families(candidates: list[_Candidate]) -> list[list[_Candidate]]:
 
 
 def _classified(families: list[list[_Candidate]]) -> tuple[list[list[_Candidate]], list[LeftOut]]:
-    """Return the families of triples that are places, and the others with the reason."""
+    """Return the families of triples that are positions, and the others with the reason."""
     left: list[LeftOut] = []
     standing: list[list[_Candidate]] = []
     moves = any(
@@ -200,7 +197,7 @@ def _classified(families: list[list[_Candidate]]) -> tuple[list[list[_Candidate]
         named, unnamed = _by_size(unnamed)
     known = _together([one for family in named for one in family]) if named else None
     for family in unnamed:
-        assert known is not None  # without an informative name, the largest set is taken for places
+        assert known is not None  # without an informative name, the largest set counts as positions
         why = _misfit(_together(family), known)
         if why is None:
             named.append(family)
@@ -210,17 +207,17 @@ def _classified(families: list[list[_Candidate]]) -> tuple[list[list[_Candidate]
 
 
 def _never_changes(family: list[_Candidate]) -> bool:
-    """Whether triples never change, as a camera's place; markers on the clamp may rest."""
+    """Return whether triples never change, like a camera's position; clamp markers may rest."""
     return all(one.steady == _OFFSET and not is_base(one.stem) for one in family)
 
 
 def _by_size(
     families: list[list[_Candidate]],
 ) -> tuple[list[list[_Candidate]], list[list[_Candidate]]]:
-    """Return the families that are taken for places if no name marks one, and the others.
+    """Return the families taken as positions if no name marks one, and the others.
 
-    Those beyond ±π, and of them those nearest in size to the largest set; if all are within it,
-    all: places in m.
+    Families beyond ±π nearest in size to the largest set are positions. If all are within ±π, all
+    of them are positions in m.
     """
     sizes = [float(np.median([one.size for one in family])) for family in families]
     beyond = [k for k, family in enumerate(families) if max(one.largest for one in family) > np.pi]
@@ -253,9 +250,9 @@ def _together(family: list[_Candidate]) -> _Set:
 
 
 def _misfit(family: _Set, known: _Set) -> str | None:
-    """Return why triples without an informative name are no places; None if they are.
+    """Return why triples without an informative name are not positions; None if they are.
 
-    They are compared with the `known` places.
+    They are compared with the `known` positions.
     """
     if family.largest <= np.pi:
         return (
@@ -292,7 +289,7 @@ def _candidate(
 
 
 def _steady(points: Array, length: Array) -> str | None:
-    """Return what points (n, 3) are if they, or their distance (n,) to the origin, are constant."""
+    """Return what points (n, 3) are if they, or their distances from the origin, are constant."""
     if len(points) < 3:
         return None
     if not np.ptp(points, axis=0).any():
@@ -305,7 +302,7 @@ def _steady(points: Array, length: Array) -> str | None:
 
 
 def _by_name(stem: str) -> tuple[str | None, bool]:
-    """Return the other quantity of a name (None: no other), and whether it marks a place."""
+    """Return the other quantity that a name indicates, if any, and whether it marks a position."""
     words = [word.lower() for word in _WORD.findall(stem)]
     text = "_".join(words)
     place = any(_PLACE.search(word) or word in _SHORT_PLACE for word in words) or not words
@@ -323,12 +320,12 @@ def _by_name(stem: str) -> tuple[str | None, bool]:
 
 
 def find_pairs(names: Sequence[str], bare: Sequence[str], rows: Rows) -> Triples:
-    """Find x, y of markers in a plane, for a log without places in space.
+    """Find x, y of markers in a plane, for a log without positions in space.
 
-    One of them at least has a place's name.
+    At least one must be named like a position.
 
     Args:
-        names, bare, rows: as of `find_triples`.
+        names, bare, rows: as in `find_triples`.
     """
 
     def padded(columns: list[str]) -> Array:
@@ -351,7 +348,7 @@ def find_pairs(names: Sequence[str], bare: Sequence[str], rows: Rows) -> Triples
 
 
 def _pairs(names: list[str], bare: list[str], rows: Rows) -> Iterator[tuple[list[str], str]]:
-    """Yield x, y without z that move, and what their names share."""
+    """Yield x, y without z that move, and the shared part of their names."""
     where = {name: k for k, name in enumerate(bare)}
     for name in bare:
         for at in _letters(name):
@@ -370,7 +367,7 @@ def _pairs(names: list[str], bare: list[str], rows: Rows) -> Iterator[tuple[list
 
 # --- by name ---------------------------------------------------------------------------------
 def _triples(names: list[str], bare: list[str], rows: Rows) -> Iterator[tuple[list[str], str]]:
-    """Yield three columns and what their names share, for each triple that holds numbers."""
+    """Yield each triple of number columns, with the shared part of their names."""
     used: set[str] = set()
     for triple, stem in [*_by_letter(names, bare), *_by_number(names, bare)]:
         if used & set(triple) or is_drive(stem) or not np.isfinite(rows(triple)).all(axis=1).any():
@@ -380,7 +377,7 @@ def _triples(names: list[str], bare: list[str], rows: Rows) -> Iterator[tuple[li
 
 
 def _letters(name: str) -> list[int]:
-    """Return the positions of x in a name, the last first; none for a name that is too long."""
+    """Return the positions of x in a name, last first; empty for an overlong name."""
     return (
         [i for i in range(len(name) - 1, -1, -1) if name[i] in "xX"] if len(name) <= LONGEST else []
     )
@@ -389,7 +386,7 @@ def _letters(name: str) -> list[int]:
 def _by_letter(names: list[str], bare: list[str]) -> Iterator[tuple[list[str], str]]:
     """Yield triples whose names differ in x, y, z.
 
-    Where names repeat, the first of each, then the second of each.
+    For repeated names, the first occurrences form one triple, the second ones another.
     """
     where: dict[str, list[int]] = {}
     for k, name in enumerate(bare):
@@ -409,10 +406,7 @@ def _by_letter(names: list[str], bare: list[str]) -> Iterator[tuple[list[str], s
 
 
 def _by_number(names: list[str], bare: list[str]) -> Iterator[tuple[list[str], str]]:
-    """Yield triples of neighbours that count 1, 2, 3 or 0, 1, 2 in brackets, by name.
-
-    Their name must mark a place.
-    """
+    """Yield triples counted 1, 2, 3 or 0, 1, 2 in brackets, if their name marks a position."""
     groups: dict[str, list[tuple[int, int]]] = {}
     for k, name in enumerate(bare):
         if len(name) <= LONGEST and (parts := _INDEX.match(name)) is not None and parts[1]:

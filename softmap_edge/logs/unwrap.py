@@ -1,6 +1,6 @@
-"""Count commands and encoders of a log on over roll-overs, as the mapping asks.
+"""Unwrap commands and encoders of a log over roll-overs that the mapping declares.
 
-Report those it does not name.
+Other roll-overs are reported.
 """
 
 from __future__ import annotations
@@ -12,22 +12,21 @@ from softmap_edge.logs.mapping import Quantity
 from softmap_edge.logs.table import LogTable
 from softmap_edge.run.rollover import DRIVES, Floats, roll_over, roll_over_line, unwrapped
 
-_GAP = 1.5  # usual steps between rows: more is a gap
+_GAP = 1.5  # usual steps between rows: a longer one is a gap
 _NEAR = 5  # rows on either side of a gap that show the speed
 
 
 def counted_on(
     name: str, table: LogTable, quantity: Quantity, notes: list[str], doubts: list[str]
 ) -> Floats:
-    """Return raw values (rows, columns) of a quantity, counted on over roll-overs.
-
-    The mapping declares these.
+    """Return raw values (rows, columns) of a quantity, unwrapped over declared roll-overs.
 
     Args:
         name: of the quantity.
-        table: the log. quantity: its columns, and the size of their turns.
-        notes: receives what was counted on. doubts: receives roll-overs that the mapping does not
-            declare.
+        table: the log.
+        quantity: its columns, and the size of their turns.
+        notes: receives what was unwrapped.
+        doubts: receives undeclared roll-overs.
 
     Raises:
         RunError: a column spans more than one turn.
@@ -61,9 +60,9 @@ def counted_on(
 
 
 def _over_gaps(name: str, column: str, t: Floats, values: Floats, turn: float) -> list[str]:
-    """Return a doubt on gaps in which a channel (T,) may have turned beyond half a turn.
+    """Return a doubt on gaps in which a channel (T,) may have turned by more than half a turn.
 
-    Such a turn is counted as less.
+    Unwrapping then counts too few turns.
     """
     known = np.flatnonzero(np.isfinite(values))
     step, moved = np.diff(t[known]), np.abs(np.diff(values[known]))

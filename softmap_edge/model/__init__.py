@@ -1,1 +1,1 @@
-"""Models: shapes for commands, their bundle folders, and how they see the points of a run."""
+"""Models: shapes for commands, their bundle folders, and their view of the points of a run."""

@@ -1,9 +1,8 @@
-"""Terms of a static map of the commands or of the pulls of cables.
+"""Terms of a static map of the commands or of cable pulls: monomials, or products of splines.
 
-They are monomials, or tensor products of splines.
-
-Learning fits them (`rod/regression.py`), a bundle holds their weights, and coverage counts in them.
-Pinned by tests/rod/test_rod.py, tests/rod/test_pulled_rod.py and tests/rod/test_splined_rod.py.
+Learning fits their weights (`rod/regression.py`), a bundle stores them, and coverage uses the same
+terms. Pinned by tests/rod/test_rod.py, tests/rod/test_pulled_rod.py and
+tests/rod/test_splined_rod.py.
 """
 
 from __future__ import annotations
@@ -20,8 +19,7 @@ Floats = NDArray[np.float64]
 
 RIDGE = (3e-5, 9e-4, 3e-4, 3e-4, 3e-4)  # by degree 1…5, for |q| ≤ 1
 SPLINE_DEGREE = 3
-# penalty of a roughness of 1, at a ridge of 1: ridges then reach from interpolation to a straight
-# map
+# penalty of unit roughness at a ridge of 1: ridges then range from interpolation to a linear map
 ROUGHNESS = 1e-3
 
 
@@ -29,13 +27,14 @@ ROUGHNESS = 1e-3
 class Basis:
     """The terms of a static map.
 
-    They are all monomials up to `degree` of the normalised commands, or of the pulls of cables, or
-    with `intervals` the tensor products of cubic B-splines, so many intervals a command. A command
-    above 0 pulls one cable and lets the other one fall slack, and the reverse: a `pulled` basis has
-    two variables a command, max(u, 0) and max(−u, 0).
+    They are all monomials up to `degree` of the normalised commands or of the cable pulls. With
+    `intervals` they are tensor products of cubic B-splines with that many intervals per command. A
+    command above 0 pulls one cable and lets the other fall slack, and vice versa: a `pulled` basis
+        has
+    two variables per command, max(u, 0) and max(−u, 0).
 
-    Splines are taken in the directions of their roughness R = Σ_c |second differences along c|². A
-    ridge on each direction, in proportion to its roughness, is then the smoothness penalty of a
+    Splines are expressed in the eigenvectors of their roughness R = Σ_c |second differences along
+    c|². A ridge on each, in proportion to its roughness, is then the smoothness penalty of a
     P-spline (Eilers and Marx 1996, doi:10.1214/ss/1038425655).
     """
 
@@ -44,7 +43,7 @@ class Basis:
     intervals: int = 0
 
     def span(self, u: Floats) -> tuple[Floats, Floats]:
-        """Return `centre` and `scale` (C,) by which commands (n, C) are normalised to −1 … 1."""
+        """Return `centre` and `scale` (C,) that normalise commands (n, C) to −1 … 1."""
         if not self.pulled:
             return commanded_range(u)
         most = np.abs(u).max(axis=0)
@@ -72,7 +71,7 @@ class Basis:
         return np.array([RIDGE[degree - 1] for degree in degrees])
 
     def in_core(self, weights: Floats, channels: int) -> Floats:
-        """Return weights (1 + F, outputs) of the terms, intercept first, as the core has them."""
+        """Return weights (1 + F, outputs) of the terms, intercept first, as the core takes them."""
         if not self.intervals:
             return weights
         return np.concatenate([weights[:1], _smooth(channels, self.intervals)[0] @ weights[1:]])
@@ -90,9 +89,9 @@ class Basis:
 
 @cache
 def _smooth(channels: int, intervals: int) -> tuple[Floats, Floats]:
-    """Return directions (S, F) of tensor splines by their roughness, and their penalties (F,).
+    """Return roughness eigenvectors (S, F) of tensor splines, and their penalties (F,).
 
-    The constant is left out.
+    The constant is omitted.
     """
     each = intervals + SPLINE_DEGREE
     second = np.diff(np.eye(each), 2, axis=0)
@@ -101,7 +100,7 @@ def _smooth(channels: int, intervals: int) -> tuple[Floats, Floats]:
         before, behind = np.eye(each**c), np.eye(each ** (channels - 1 - c))
         rough = rough + np.asarray(np.kron(np.kron(before, second.T @ second), behind))
     values, directions = np.linalg.eigh(rough)
-    flat = directions[:, : 2**channels]  # products of lines, which have no roughness
+    flat = directions[:, : 2**channels]  # products of linear functions, which have no roughness
     constant = np.full(len(rough), len(rough) ** -0.5)
     flat = np.linalg.svd(flat - np.outer(constant, constant @ flat))[0][:, : 2**channels - 1]
     penalty = np.concatenate([np.full(flat.shape[1], RIDGE[0]), ROUGHNESS * values[2**channels :]])
@@ -112,9 +111,9 @@ SQUARES = Basis(2)
 
 
 def commanded_range(u: Floats) -> tuple[Floats, Floats]:
-    """Return the centre and the half width (C,) of the range of commands (n, C).
+    """Return the centre and half width (C,) of the range of commands (n, C).
 
-    The half width is 1 where a command never moves.
+    The half width is 1 for a constant command.
     """
     low, high = u.min(axis=0), u.max(axis=0)
     return (low + high) / 2.0, np.where(high > low, (high - low) / 2.0, 1.0)

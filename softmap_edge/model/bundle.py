@@ -1,35 +1,30 @@
 """The bundle: the folder that carries a model from one machine to another.
 
-Nothing in it is run unasked.
+Loading a bundle never runs code in it without permission.
 
-manifest.json   schema version, kind of prior, units, hashes, own held-out error, what made it; of a
-                learned model
-                `made_from` has `runs` (their hashes) and `learned_in` (`model/learned_in.py`)
+manifest.json   schema version, kind of prior, units, hashes, held-out model error, origin; for a
+                learned model `made_from` has `runs` (their hashes) and `learned_in`
+                (`model/learned_in.py`)
 prior.npz       the prior: a table (axes, coefficients, mean, modes), a scattered family (nodes,
-                scale, power and
-                the rest as a table), or a rod with the `coverage_…` of the commands that it was
-                learned from
-template.npz    rest points, triangles, tip, per-feature model-form error; section, along and
-                angle of a body without a mesh;
-                handles, where not all vertices are
-fields.npz      displacement fields per unit of loads and changes of design, as modes over fewer
-                commands; `second_…`
-                the second order of the loads
+                scale, power; the rest as a table), or a rod with the `coverage_…` of the commands
+                that it was learned from
+template.npz    rest points, triangles, tip, model-form error per feature; section, along and angle
+                of a body without a mesh; handles, if not all vertices are
+fields.npz      displacement fields per unit of loads and design changes, as modes over fewer
+                commands; `second_…`: the second order of the loads
 effects.json    the chain: names and parameters
-prior.onnx      a trained prior; `prior.npz` then holds how its tendons pull. A graph that only
-                onnxruntime reads is run only if the user allows it, and becomes a table of its
-                outputs (`table_from_onnxruntime`)
-residual.npz    the residual learned on top of the prior (`softmap model adapt`), if any: as a
-                scattered family, or as
-residual.onnx   a network
+prior.onnx      a trained prior; `prior.npz` then holds the tension of its tendons. A graph that
+                only onnxruntime reads is run only if the user allows it, and becomes a table of
+                its outputs (`table_from_onnxruntime`)
+residual.npz    the residual learned on top of the prior (`softmap model adapt`), if any, as a
+                scattered family, or
+residual.onnx   as a network
 NAME_step       next to an array of whole numbers NAME in an archive: NAME counts these steps
-NAME.py         a user's own effect of the chain, named with its hash in the manifest: code, run
-                only if the user
-                has loaded the same file before (`load_effect`) or confirms it
-calibration.json   the map from servo ticks to commands (`softmap model calibrate`), if it is known
-safety.toml     limits of the finger (`safety.py`); may be edited: another hash than the manifest's
-                is reported, and
-                every limit is checked whatever its hash
+NAME.py         a user-defined effect of the chain, with its hash in the manifest. This code runs
+                only if the user has loaded the same file before (`load_effect`) or confirms it
+calibration.json   the map from servo ticks to commands (`softmap model calibrate`), if known
+safety.toml     limits of the finger (`safety.py`); may be edited. A hash that differs from the
+                manifest's is reported, and every limit is checked in any case
 """
 
 from __future__ import annotations
@@ -87,18 +82,18 @@ _MOST = {
 }
 SAFETY = "safety.toml"
 _FILES = ("prior.npz", "template.npz", "fields.npz", "effects.json")
-# Further files that its manifest may name.
+# further files that the manifest may list
 _PERHAPS = ("prior.onnx", "residual.onnx", "residual.npz", "calibration.json", SAFETY)
 Trust = Callable[[Path, str], bool]
 
 
 def save_bundle(model: Model, path: str | Path) -> Path:
-    """Write `model` as a bundle folder at `path`; the same model gives the same bytes.
+    """Write `model` as a bundle folder at `path` and return it; equal models give equal bytes.
 
-    Return the folder.
+    An existing bundle is replaced.
 
-    A bundle that stands there is replaced. Raises BundleError when something else does, or a bundle
-    with further files.
+    Raises:
+        BundleError: `path` is something else, or a bundle with further files.
     """
     folder = Path(path).resolve()
     if model.arrays is None:
@@ -164,7 +159,7 @@ def _write(model: Model, arrays: BundleArrays, partial: Path) -> None:
 
 
 def _loaded() -> Mapping[str, OwnEffect]:
-    """Return the user's effects of this process by name.
+    """Return the user-defined effects of this process by name.
 
     Their module is loaded only for models with effects.
     """
@@ -174,7 +169,7 @@ def _loaded() -> Mapping[str, OwnEffect]:
 
 
 def _schema(model: Model, files: list[str], own: bool) -> int:
-    """Return the oldest schema that holds the model; a rod makes its fields itself."""
+    """Return the oldest schema that can store the model; a rod computes its own fields."""
     if model.output is not None:
         return 8
     if SAFETY in files:
@@ -193,7 +188,7 @@ def _schema(model: Model, files: list[str], own: bool) -> int:
 
 
 def check_folder(folder: Path) -> None:
-    """Raise BundleError if `folder` is no bundle or holds other files: it is never overwritten."""
+    """Raise BundleError if `folder` is not a bundle or holds other files: these are never lost."""
     if not folder.exists() or folder.is_dir() and not any(folder.iterdir()):
         return
     try:
@@ -221,15 +216,15 @@ def load_bundle(
 
     Args:
         path: the folder.
-        trust: asked for each own effect that is not loaded yet whether its file may be run,
-            `trust(file, sha256)`; without it none is.
-        trust_onnx: whether onnxruntime may run a graph that the core does not read, in a child
-            process with limits of memory and time; or a function that is asked, `trust_onnx(file,
-            sha256)`.
+            trust: called as `trust(file, sha256)` for each user-defined effect that is not loaded
+                yet; returns whether its file may be run. None: no file is run.
+            trust_onnx: whether onnxruntime may run a graph that the core cannot read, in a child
+                process with limits of memory and time; or a function called as
+                `trust_onnx(file, sha256)`.
 
     Raises:
-        BundleError: it is damaged or newer, or holds code or a graph that the user has not allowed
-            to run.
+            BundleError: it is damaged or too new, or holds code or a graph that the user has not
+                allowed to run.
     """
     folder = Path(path)
     manifest = load_manifest(folder)
@@ -302,14 +297,14 @@ def _allow(file: Path, name: str, digest: str, trust: Trust | None) -> None:
 
 
 def _named(manifest: Document) -> list[str]:
-    """Return which of the files that a bundle may have its manifest names."""
+    """Return the optional bundle files that the manifest lists."""
     return [name for name in _PERHAPS if name in manifest["sha256"]]
 
 
 def _read_archive(folder: Path, file: str) -> Arrays:
     """Read an archive of a bundle.
 
-    Only finite numbers of a plausible size, which also keeps overflow out later.
+    Its numbers must be finite and of plausible size, which prevents later overflow.
     """
     arrays = read_npz(folder / file, BundleError, _MAX_BYTES)
     for key, array in arrays.items():
@@ -333,7 +328,7 @@ def _read_archive(folder: Path, file: str) -> Arrays:
 def _bundle_arrays(
     folder: Path, manifest: Document, trusted: Trust
 ) -> tuple[BundleArrays, Document]:
-    """Read what a structure is compiled from, and the provenance of graphs that became tables."""
+    """Read the arrays of a structure, and the provenance of graphs converted to tables."""
     named, foreign = _named(manifest), Document()
     between = np.array(manifest["command_range"], float).reshape(-1, 2)
 
@@ -368,7 +363,7 @@ def _bundle_arrays(
 
 
 def _learned_prior(arrays: Arrays, channels: int) -> PriorArrays:
-    """Read the prior of a model that was learned from runs: a rod and its coverage."""
+    """Read a prior that was learned from runs: a rod and its coverage."""
     from softmap_edge.model.coverage import Coverage
     from softmap_edge.model.polynomial_rod import read_rod
 
@@ -442,7 +437,7 @@ def _model(folder: Path, manifest: Document, trusted: Trust) -> Model:
 
 
 def _calibration(folder: Path, manifest: Document) -> Calibration | None:
-    """Read what the ticks of the servos are, if the manifest names it."""
+    """Read the calibration of the servos, if the manifest lists it."""
     if "calibration.json" not in _named(manifest):
         return None
     try:
@@ -457,7 +452,7 @@ def _calibration(folder: Path, manifest: Document) -> Calibration | None:
 
 
 def _safety(folder: Path, manifest: Document) -> Safety | None:
-    """Read what the finger may be asked, if the manifest names it."""
+    """Read the limits of the finger, if the manifest lists them."""
     if SAFETY not in _named(manifest):
         return None
     file, reach = folder / SAFETY, np.array(manifest["command_range"], float).reshape(-1, 2)
@@ -477,7 +472,7 @@ def _safety(folder: Path, manifest: Document) -> Safety | None:
 
 
 def load_chain(path: str | Path) -> tuple[list[str], dict[str, float]]:
-    """Read names and parameters of the effects of a bundle, without asking what they are."""
+    """Read names and parameters of a bundle's effects without loading the effects."""
     folder = Path(path)
     effects = read_json(folder / "effects.json")
     names, params = effects.get("chain"), effects.get("params")
@@ -516,7 +511,7 @@ def _made_from(manifest: Document) -> Document:
 
 
 def _is_piece(part: object) -> bool:
-    """Whether it is the hash of a recording with two times, s."""
+    """Return whether `part` is the hash of a recording with two times (s)."""
     if not isinstance(part, list) or len(part) != 3:
         return False
     return (
@@ -527,7 +522,7 @@ def _is_piece(part: object) -> bool:
 
 
 def _check_size(file: Path) -> None:
-    """Refuse a bundle file that exceeds its size limit, before any of it is read."""
+    """Reject a bundle file above its size limit, before reading any of it."""
     size, most = file.stat().st_size, _MOST[file.suffix]
     if size > most:
         raise BundleError(

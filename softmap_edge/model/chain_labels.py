@@ -1,13 +1,12 @@
 """Parameters of a chain by label.
 
-A shared parameter has one label for all channels, and a number for each.
-
-`chain.labels` (P,) name every number: `backlash.gap[0]` of a channel, `dead_zone.slack[0+]` and
-`dead_zone.slack[0-]` of the cables that a channel pulls to either side. The numbers of one group of
-`chain.tie` are equal unless they are set separately, and `chain.group_labels` (P,) name the group
-(`backlash.gap`). Input may use either label, or that of a channel for both of its cables; the most
-exact one counts. Output has one entry for a group while its numbers are equal, else one for each.
-Pinned by tests/model/test_shared_numbers.py.
+A shared parameter has one label for all channels, and one number for each. `chain.labels` (P,) name
+every number: `backlash.gap[0]` of a channel, `dead_zone.slack[0+]` and `dead_zone.slack[0-]` of the
+cables that a channel pulls to either side. Numbers of one group of `chain.tie` are equal unless set
+separately, and `chain.group_labels` (P,) name the group (`backlash.gap`). Input may use either
+label, or a channel's label for both of its cables; the most specific one counts. Output has one
+entry for a group of equal numbers, else one for each. Pinned by
+tests/model/test_shared_numbers.py.
 """
 
 from __future__ import annotations
@@ -23,13 +22,13 @@ Floats = NDArray[np.float64]
 
 
 def readings(label: str, group: str) -> tuple[str, ...]:
-    """Return the labels under which input may give a number, the most exact one first."""
+    """Return the labels under which input may give a number, most specific first."""
     channel = label.replace("+]", "]").replace("-]", "]")
     return tuple(dict.fromkeys((label, channel, group)))
 
 
 def grouped(chain: _core.Chain) -> dict[str, list[int]]:
-    """Return the numbers of each group by its label, as indices into the labels of a chain."""
+    """Return the numbers of each group by label, as indices into a chain's labels."""
     groups: dict[str, list[int]] = {}
     for i, label in enumerate(chain.group_labels):
         groups.setdefault(label, []).append(i)
@@ -37,7 +36,7 @@ def grouped(chain: _core.Chain) -> dict[str, list[int]]:
 
 
 def named(chain: _core.Chain, params: Floats) -> dict[str, float]:
-    """Return parameters (P,) by label: one entry for each group of equal numbers, else for each."""
+    """Return parameters (P,) by label: one entry for each group of equal numbers, else one each."""
     found: dict[str, float] = {}
     for label, members in grouped(chain).items():
         if np.all(params[members] == params[members[0]]):
@@ -48,7 +47,7 @@ def named(chain: _core.Chain, params: Floats) -> dict[str, float]:
 
 
 def valued(chain: _core.Chain, params: Mapping[str, float], absent: Floats) -> Floats:
-    """Return parameters (P,) of a chain from a mapping by label; missing ones are `absent` (P,)."""
+    """Return a chain's parameters (P,) from a mapping by label; `absent` (P,) fills gaps."""
     names = (readings(label, group) for label, group in zip(chain.labels, chain.group_labels))
     found = (
         next((params[n] for n in known if n in params), rest) for known, rest in zip(names, absent)
@@ -57,7 +56,7 @@ def valued(chain: _core.Chain, params: Mapping[str, float], absent: Floats) -> F
 
 
 def spread(chain: _core.Chain, params: Floats) -> Floats:
-    """Return parameters (P,) of a chain from all of them, or from one for each group (G,).
+    """Return a chain's parameters (P,) from one for each group (G,).
 
     Parameters that are already complete are returned unchanged.
     """

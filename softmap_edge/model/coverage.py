@@ -1,15 +1,13 @@
-"""Commands that taught a learned model, by the leverage of a polynomial in the effective commands.
+"""Coverage of the commands of a learned model: polynomial leverage of the effective commands.
 
     h(v) = φᵀ (ΦᵀΦ/n + ε)⁻¹ φ,   φ = [1, monomials(q)],   q = (v − middle)/half
 
-The monomials are the squares and products of the commands or, for a map of the pulls of cables, its
-own terms.
-
-h/n is the diagonal of the hat matrix of this regression: the variance of a prediction there, in
+The monomials are the squares and products of the commands or, for a map of cable pulls, its own
+terms. h/n is the diagonal of this regression's hat matrix: the variance of a prediction there, in
 units of the noise variance. h is large for a command whose channels are each within their range but
-were never moved together. For directions that the runs never moved, ε sets the tolerance. The limit
-is the largest h of the frames that taught the model. Source: Hoaglin and Welsch, The American
-Statistician 32 (1978) 17. Pinned by tests/model/test_coverage.py.
+were never moved together. For directions without motion in the runs, ε sets the tolerance. The
+limit is the largest h of the training frames. Source: Hoaglin and Welsch, The American Statistician
+32 (1978) 17. Pinned by tests/model/test_coverage.py.
 """
 
 from __future__ import annotations
@@ -27,11 +25,11 @@ from softmap_edge.model.basis import RIDGE, SQUARES, Basis
 
 Floats = NDArray[np.float64]
 
-# of a feature's mean square: 1 % of the range along a direction that never moved counts as 10
+# of a feature's mean square: 1 % of the range along a direction without motion counts as 10
 EPSILON = 1e-5
-FAR = 0.15  # of the range from its ends: where a pair of channels is tested
-MOST_PAIRS = 4  # pairs that a sentence names
-# times the largest leverage: a single channel reaches it 10 % of its half range beyond
+FAR = 0.15  # of the range, from its ends: where a pair of channels is tested
+MOST_PAIRS = 4  # pairs that a sentence lists
+# times the largest leverage: a single channel reaches this 10 % of its half range beyond
 LARGER = 1.5
 
 
@@ -39,7 +37,7 @@ LARGER = 1.5
 class Coverage:
     """The commands of the training data: `middle`, `half` (C,), `root` (F, F) and `most` (1,).
 
-    A command lies within them if its leverage h = |φ root|² is at most `most`.
+    A command is covered if its leverage h = |φ root|² is at most `most`.
     """
 
     middle: Floats
@@ -50,7 +48,7 @@ class Coverage:
 
     @classmethod
     def of(cls, acting: Floats, basis: Basis = SQUARES) -> Coverage:
-        """Return the coverage of effective commands (n, C) of the training data, by a basis."""
+        """Return the coverage of the training data's effective commands (n, C), with a basis."""
         middle, half = basis.span(acting)
         features = _features((acting - middle) / half, basis)
         strength, directions = np.linalg.eigh(features.T @ features / len(features))
@@ -60,19 +58,16 @@ class Coverage:
         )
 
     def excess(self, acting: Floats) -> Floats:
-        """Return the leverage (n,) of effective commands (n, C).
-
-        It is relative to the largest leverage in the training data.
-        """
+        """Return the leverage (n,) of effective commands (n, C), relative to the largest trained."""
         features = _features((acting - self.middle) / self.half, self.basis)
         return np.asarray(((features @ self.root) ** 2).sum(axis=1) / self.most[0])
 
     def outside(self, acting: Floats) -> NDArray[np.bool_]:
-        """Return which commands (n,) are unlike those that taught the model."""
+        """Return which commands (n,) are outside the training data."""
         return np.asarray(self.excess(acting) > LARGER)
 
     def to_npz(self) -> Arrays:
-        """Return the arrays as `prior.npz` holds them."""
+        """Return the arrays for `prior.npz`."""
         return {
             "coverage_middle": self.middle,
             "coverage_half": self.half,
@@ -86,7 +81,7 @@ class Coverage:
         """Read the arrays of `prior.npz`; return None if it has none.
 
         Raises:
-            SoftmapError: arrays are missing, or do not fit a model of that many channels.
+            SoftmapError: arrays are missing, or do not match a model with that many channels.
         """
         if not any(name.startswith("coverage_") for name in arrays):
             return None
@@ -125,7 +120,7 @@ def apart(commands: Floats) -> list[tuple[int, int]]:
     inside). A circle covers the corners, a cross does not.
 
     Args:
-        commands: of a run, shape (n, C); channels that never move are left out.
+        commands: of a run, shape (n, C); constant channels are omitted.
     """
     middle, half = SQUARES.span(commands)
     q = (commands - middle) / half
@@ -136,7 +131,7 @@ def apart(commands: Floats) -> list[tuple[int, int]]:
 
 
 def _never_together(u: Floats, v: Floats) -> bool:
-    """Return whether all four corners of two channels (n,), within −1 … 1, lie out of range."""
+    """Return whether all four corners of two channels (n,), within −1 … 1, are uncovered."""
     corners = (1.0 - 2.0 * FAR) * np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
     moved, asked = (
         np.stack([np.ones(len(x)), x, y, x * y], axis=1) for x, y in ((u, v), corners.T)

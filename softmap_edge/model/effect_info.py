@@ -1,4 +1,4 @@
-"""Declarations of compiled and of a user's own effects, by name in the order of their stages.
+"""Declarations of compiled and user-defined effects, by name in the order of their stages.
 
 Pinned by tests/model/test_look.py and tests/model/test_own_effect.py.
 """
@@ -15,10 +15,10 @@ from softmap_edge import _core
 class Parameter:
     """A parameter of an effect: no change at `null`, range `low` to `high`, fits begin at `start`.
 
-    `per_channel`, `per_cable` and `per_pair` name what has a number of its own; `shared` numbers
-    are equal unless they are split. Where the data require it, a fit goes beyond `high`: to
-    `half_ranges` of the command, or to the weight that displaces the body by so many of its
-    `lengths`. An `instant` is a time of the run, in seconds.
+    `per_channel`, `per_cable` and `per_pair` state what has a separate number; `shared` numbers are
+    equal unless split. If the data require it, a fit exceeds `high`: up to `half_ranges` of the
+    command, or up to the weight that displaces the body by so many of its `lengths`. An `instant`
+    is a time of the run, in seconds.
     """
 
     name: str
@@ -43,10 +43,10 @@ class Parameter:
 class EffectInfo:
     """The declaration of an effect.
 
-    `stage` is where it acts on the way to the measurement, `role` what its law takes ("channel",
-    "shape", "prior" or "sensing"), `kind` "effect" or "fault". `experiment` is the block that shows
-    it, and its minutes. `alike` names effects of the same form and the condition that separates
-    them ("never" if none does). `needs` are fields of a run.
+    `stage` is its place in the chain. `role` is the input of its law ("channel", "shape", "prior"
+    or "sensing"), `kind` "effect" or "fault". `experiment` is the block that shows it, and its
+    minutes. `alike` lists effects of the same form and the condition that separates them ("never"
+    if none does). `needs` are fields of a run.
     """
 
     name: str
@@ -77,12 +77,12 @@ class EffectInfo:
 
     @property
     def on_outputs(self) -> bool:
-        """Whether it can act on outputs without a body: on the command, or on the clock."""
+        """Whether it can act on outputs without a body: on the command or the clock."""
         return self.on_commands or (self.role == "sensing" and self.family == "delay")
 
     @property
     def needs_time(self) -> bool:
-        """Whether it is a delay, a rate or a time constant; an instant is a row as well."""
+        """Whether it is a delay, rate or time constant; an instant may also be a row."""
         units = [parameter.unit for parameter in self.parameters if not parameter.instant]
         return any(unit == "s" or unit.endswith(("/s", "/min")) for unit in units)
 
@@ -91,7 +91,7 @@ Registry = Mapping[str, EffectInfo]
 
 
 def registry() -> dict[str, EffectInfo]:
-    """Return the declarations of all effects by name, a user's own last in their stage."""
+    """Return the declarations of all effects by name, user-defined ones last in their stage."""
     found = {}
     for row in _core.effects():
         parameters = tuple(Parameter(**parameter) for parameter in row["parameters"])
@@ -101,5 +101,5 @@ def registry() -> dict[str, EffectInfo]:
 
 
 def effects_that(role: str) -> set[str]:
-    """Return the names of the effects of a role."""
+    """Return the names of the effects with a role."""
     return {info.name for info in registry().values() if info.role == role}

@@ -1,8 +1,8 @@
-"""The elastic-tendon rod in Python: layout, numbers, which of them are free, and load fields.
+"""The elastic-tendon rod in Python: layout, numbers, free numbers, and load fields.
 
-The rod itself is rust/rod/elastic.rs: segments of constant curvature, tendons that stretch and may
-go slack. Its numbers stand in one vector, named by the core: slack · angle, radius, pretension of
-each tendon · stiffness, length, rest bending (2) of each segment · base (3) · tilt (2); rad, mm,
+The rod itself is rust/rod/elastic.rs: segments of constant curvature, and tendons that stretch and
+may go slack. Its numbers form one vector, labelled by the core: slack · angle, radius, pretension
+of each tendon · stiffness, length, rest bending (2) of each segment · base (3) · tilt (2); rad, mm,
 stiffness in mm².
 """
 
@@ -21,19 +21,19 @@ from softmap_edge.model.model import TIP_PER_NEWTON
 
 Floats = NDArray[np.float64]
 
-# Loads, its modulus along the body, its curvature at rest; arcs have neither sides nor a twist.
+# loads, modulus along the body, curvature at rest; arcs have neither sides nor a twist
 FIELDS = (*_core.LOADS, *(f"stiff_{k}" for k in range(7)), "curve_x", "curve_y")
 ROUTING = tuple(name for name in _core.FIELDS if name.startswith("routing_"))
-MOST_NUMBERS = 4096  # of any array of a rod's file
+MOST_NUMBERS = 4096  # numbers in any array of a rod's file
 
 
 @dataclass(frozen=True)
 class RodLayout:
-    """What is fixed about a rod.
+    """The fixed properties of a rod.
 
-    `segments` S and `channels` C; for each tendon the segment in which it ends and the command that
-    draws it in (both from 0) and by how many mm per unit; `at`: where each marker sits, in segments
-    from the base (3 is the end of the third).
+    `segments` S and `channels` C; for each tendon the segment where it ends and its command (both
+    from 0), with the mm per unit; `at`: position of each marker, in segments from the base (3 is
+    the end of the third).
     """
 
     segments: int
@@ -50,7 +50,7 @@ class RodLayout:
         )
 
     def counts(self) -> dict[str, int]:
-        """Return how many numbers there are of each kind, in their order."""
+        """Return the count of each kind of number, in order."""
         n, s = len(self.ends), self.segments
         tendon, segment = (
             dict.fromkeys(("angle", "radius", "pretension"), n),
@@ -59,7 +59,7 @@ class RodLayout:
         return {"slack": 1} | tendon | segment | {"rest": 2 * s, "base": 3, "tilt": 2}
 
     def places(self) -> dict[str, slice]:
-        """Return where the numbers of each kind stand."""
+        """Return the slice of each kind of number."""
         ends = np.cumsum(list(self.counts().values())).tolist()
         return {
             kind: slice(end - count, end) for (kind, count), end in zip(self.counts().items(), ends)
@@ -70,7 +70,7 @@ class RodLayout:
 class Change:
     """A change of a group of numbers within bounds.
 
-    It is a factor (1 is none), or an angle or a length that is added (0 is none).
+    It is a factor (1 is no change), or an added angle or length (0 is no change).
     """
 
     label: str
@@ -86,10 +86,8 @@ class Change:
 class ElasticRodArrays:
     """A rod with its numbers (P,) and the nominal `flexibility` (mm per N) of its tendons.
 
-    The flexibility serves its load fields.
-
-    `free` has, for each number, the group in which a fit changed it; -1 where it was known and
-    stayed fixed.
+    The flexibility scales its load fields. `free` holds, for each number, the group in which a fit
+    changed it; -1 for known numbers that stayed fixed.
     """
 
     layout: RodLayout
@@ -101,7 +99,7 @@ class ElasticRodArrays:
     def nominal(
         cls, layout: RodLayout, numbers: Floats, free: tuple[int, ...] = ()
     ) -> ElasticRodArrays:
-        """Return a rod on whose resting tip 1 N across moves it by a tenth of its length."""
+        """Return a rod whose resting tip moves by a tenth of its length under 1 N across."""
         unscaled = cls(layout, numbers, 1.0, free)
         fields, home = unscaled.fields(), np.zeros((1, layout.channels))
         moved = [fields[f"tip_force_{axis}"].evaluate(home)[0, -3:] for axis in "xy"]
@@ -118,7 +116,7 @@ class ElasticRodArrays:
     def fields(self) -> dict[str, _core.ElasticField]:
         """Return its fields by name (`_core.FIELDS`), for a nominal weight of 1 N.
 
-        Unit: mm per N of tip force, mm per g.
+        Units: mm per N of tip force, mm per g.
         """
         rod = self.compiled()
         channels = self.layout.channels
@@ -144,7 +142,8 @@ class ElasticRodArrays:
         """Read the arrays of `prior.npz`.
 
         Raises:
-            SoftmapError: an array is missing, has the wrong shape, or holds what no rod has.
+            SoftmapError: an array is missing, has the wrong shape, or holds values invalid for a
+                rod.
         """
         lists: dict[str, list[float]] = {}
         optional = ("free",) if "free" in arrays else ()
@@ -199,7 +198,7 @@ class ElasticRodArrays:
         )
 
     def changeable(self) -> list[Change]:
-        """Return the numbers that were fitted to a run, as changes of what they are now."""
+        """Return the numbers that were fitted to a run, as changes from their present values."""
         first: dict[int, int] = {}
         for i, group in enumerate(self.free):
             if group >= 0:
@@ -227,10 +226,10 @@ class ElasticRodArrays:
         return found
 
     def with_numbers(self, numbers: Floats) -> ElasticRodArrays:
-        """Return the rod with other numbers, as many.
+        """Return the rod with other numbers.
 
         Raises:
-            SoftmapError: there are more or fewer.
+            SoftmapError: their count differs.
         """
         if np.shape(numbers) != np.shape(self.numbers):
             raise SoftmapError(
@@ -240,10 +239,10 @@ class ElasticRodArrays:
         return replace(self, numbers=numbers)
 
     def changed(self, values: Mapping[str, float]) -> ElasticRodArrays:
-        """Return the rod with changes by label; what is not named stays as it is.
+        """Return the rod with changes by label; all other numbers stay.
 
         Raises:
-            SoftmapError: the rod has no such number to change, or none of that size.
+            SoftmapError: the rod has no such changeable number, or the value is out of bounds.
         """
         numbers, known = np.array(self.numbers, float), {c.label: c for c in self.changeable()}
         for label, value in values.items():
@@ -271,11 +270,10 @@ class ElasticRodArrays:
 class Kind:
     """How one kind of number is fitted, between `low` and `high`.
 
-    It is a factor of its start, or added to it.
-
-    `doubt` is how far off a plausible guess may be: a fit that leaves more uncertainty than that
-    has learned nothing. `scatter` is how far other starts lie from the first. Factors count in
-    natural logarithms, angles in rad, the rest in mm.
+    It is a factor of its start, or added to it. `doubt` is the error of a plausible guess: a fit
+        with
+    a larger uncertainty has learned nothing. `scatter` is the distance of other starts from the
+    first. Factors count in natural logarithms, angles in rad, the rest in mm.
     """
 
     unit: str
@@ -307,10 +305,10 @@ MODES = {
 
 
 class Coordinates:
-    """The free numbers of a rod as x (D,), 0 at the start; what is not free stays as it starts."""
+    """The free numbers of a rod as x (D,), 0 at the start; all others keep their start values."""
 
     def __init__(self, layout: RodLayout, start: Floats, modes: Mapping[str, str]) -> None:
-        """Free the numbers of `layout` that `modes` (kind → mode) names, around `start` (P,)."""
+        """Free the numbers of `layout` listed in `modes` (kind → mode), around `start` (P,)."""
         self.layout, self.start, places = layout, np.asarray(start, float), layout.places()
         self.labels: list[str] = []
         self.kinds: list[str] = []
@@ -341,7 +339,7 @@ class Coordinates:
 
     @property
     def groups(self) -> tuple[int, ...]:
-        """The coordinate that moves each number (P,), -1 where none does."""
+        """The coordinate that changes each number (P,); -1 if none does."""
         found = np.full(len(self.start), -1)
         for column, indices in enumerate(self.moved):
             found[indices] = column
@@ -362,15 +360,15 @@ class Coordinates:
         )
 
     def slopes(self, x: Floats, by_number: Floats) -> Floats:
-        """Return slopes (..., D) by x of what has slopes (..., P) by the numbers."""
+        """Return slopes (..., D) over x from slopes (..., P) over the numbers."""
         scale = np.where(self.log, self.numbers(x), 1.0)
         return np.asarray((by_number * scale) @ self.spread)
 
     def fitted_numbers(self, x: Floats, sigma: Floats) -> list[tuple[float, float, str]]:
         """Return value, standard deviation and unit of each free number, as in a robot's file.
 
-        A free number that moves several different ones is given as their factor, or as their change
-        in deg or mm.
+        A free number that changes several different ones is given as their factor, or as their
+        change in deg or mm.
         """
         numbers, fitted = self.numbers(x), []
         for i, (kind, indices) in enumerate(zip(self.kinds, self.moved)):

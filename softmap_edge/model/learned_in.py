@@ -1,8 +1,8 @@
-"""Effects that a learned model holds with its static map: the robot had them while it was learned.
+"""Effects learned together with a static map, because the robot had them while it was recorded.
 
-`softmap learn` writes one record for each effect that it adds to the chain. The records stand in
-the manifest of a bundle, under `made_from.learned_in`, and are checked like any untrusted file on
-reading. `Model.learned_in` returns them. Pinned by tests/model/test_learned_in.py.
+`softmap learn` writes one record for each effect that it adds to the chain. The records are in a
+bundle's manifest, under `made_from.learned_in`, and are checked on reading like any untrusted file.
+`Model.learned_in` returns them. Pinned by tests/model/test_learned_in.py.
 """
 
 from __future__ import annotations
@@ -51,14 +51,15 @@ class Alternative:
 
 @dataclass(frozen=True)
 class LearnedIn:
-    """An effect that a model was learned with.
+    """An effect that was learned with a model.
 
-    `name` is the effect in the chain. `law` is one of four. `identified`: no alternative fits.
-    `ambiguous`: the evidence is weak, or an alternative of another family, or with as few numbers,
-    fits as well. `open`: a number is at its bound, or no law of the library fits as well as the
-    family. `unknown`: no effect of the library explains the detected family; the chain holds
-    nothing of it, and `name` is empty. `before_mm` and `after_mm` are held-out errors, RMS, without
-    and with the effect.
+    Attributes:
+        name: the effect in the chain; empty if `law` is `unknown`.
+        law: `identified`: no alternative fits. `ambiguous`: the evidence is weak, or an alternative
+            of another family, or with as few numbers, fits as well. `open`: a number is at its
+            bound, or no law of the library fits as well as the family. `unknown`: no effect of the
+            library explains the detected family, and the chain does not contain it.
+        before_mm, after_mm: held-out errors without and with the effect, RMS.
     """
 
     name: str
@@ -89,7 +90,7 @@ class LearnedIn:
         return "\n".join(lines)
 
     def to_dict(self) -> Document:
-        """Return the record as a manifest holds it."""
+        """Return the record as stored in a manifest."""
         return asdict(self)
 
     @classmethod
@@ -115,10 +116,10 @@ class LearnedIn:
 
 
 def read_learned_in(document: object) -> tuple[LearnedIn, ...]:
-    """Return the records of a manifest's `made_from.learned_in`; none if it is missing.
+    """Return the records of a manifest's `made_from.learned_in`; empty if it is missing.
 
     Raises:
-        SoftmapError: it is not a list of at most 32 records, or one of them is not a record.
+        SoftmapError: it is not a list of at most 32 valid records.
     """
     if document is None:
         return ()
@@ -130,7 +131,7 @@ def read_learned_in(document: object) -> tuple[LearnedIn, ...]:
 
 
 def _checked(kind: type, document: object) -> Document:
-    """Return the values of a table whose keys are fields of `kind`, each of its declared type."""
+    """Return the values of a table whose keys are fields of `kind`, with their types checked."""
     declared = {field.name: str(field.type) for field in fields(kind)}
     if not isinstance(document, Mapping) or set(document) != set(declared):
         raise SoftmapError(

@@ -1,4 +1,4 @@
-"""The manifest of a bundle: its contents, every field checked before anything else is read.
+"""The manifest of a bundle, with every field checked before anything else is read.
 
 Pinned by tests/model/test_bundle.py.
 """
@@ -14,9 +14,9 @@ from softmap_edge.errors import BundleError, brief
 from softmap_edge.files.atomic import Document
 from softmap_edge.files.own_text import own_text
 
-# 2: scattered families, bodies without a mesh; 3: own effects, fields of a design, steps; 4: a
-# residual; 5: networks; 6: a calibration, handles; 7: limits (safety.toml); 8: outputs that are no
-# places
+# 2: scattered families, bodies without a mesh; 3: user-defined effects, design fields, steps; 4: a
+# residual; 5: networks; 6: a calibration, handles; 7: limits (safety.toml); 8: outputs other than
+# positions
 SCHEMA = 8
 KINDS = ("table", "scattered", "network", "rod")
 EFFECT_NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")  # of a user's own effect
@@ -27,7 +27,7 @@ LARGEST = 1e9  # mm, g, N, s: beyond any robot, and far from where float64 overf
 
 
 def check_within(file: Path) -> None:
-    """Raise BundleError where a file of a bundle is a link to a file outside its folder."""
+    """Raise BundleError if a file of a bundle is a link to a file outside its folder."""
     if file.is_symlink() and file.resolve().parent != file.parent.resolve():
         raise BundleError(
             f"{file.parent.name}: {file.name} is a link to a file outside the bundle; copy the "

@@ -1,13 +1,11 @@
-"""The model: the map from commands to shapes.
-
-Comparison, diagnosis and control use only this interface.
+"""The model: the map from commands to shapes, and the only interface of its users.
 
     command ─chain of effects─> u_eff ─prior f(u_eff) + Σ cₖ·Sₖ(u_eff)─sensing effects─> points
 
-The prior is a table or a scattered family (a sweep) or a rod (fitted to a run); users of a model
-see no difference. Parameters of effects are kept in one place, `chain_params`, in the order of
-`chain.labels`. By label (`chain_labels`) one number is used for all channels while their numbers
-are equal.
+The prior is a table, a scattered family (from a sweep) or a rod (fitted to a run), with the same
+interface. Comparison, diagnosis and control use nothing else. Effect parameters are stored in
+`chain_params`, in the order of `chain.labels`. By label (`chain_labels`), one number applies to all
+channels while their numbers are equal.
 """
 
 from __future__ import annotations
@@ -41,21 +39,21 @@ if TYPE_CHECKING:
     from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]
-# where stiffness is not known: 1 N across the tip moves it by this share of the length
+# of the length: motion of the tip under 1 N across, where stiffness is unknown
 TIP_PER_NEWTON = 0.1
 NOMINAL = "nominal: 1 N across the tip moves it by a tenth of the length; no load is known in grams"
-KEPT_VIEWS = 4  # as many as runs that are diagnosed together may differ in
+KEPT_VIEWS = 4  # views stored: number of different runs in one diagnosis
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
     """A structure and the effects added to it.
 
-    `form_error` (V, 3) mm is the measured held-out error of each feature; `made_from` is the
-    provenance of the model (versions, seeds, hashes); `arrays` are the contents of `prior.npz`,
+    `form_error` (V, 3) mm is the measured held-out error of each feature. `made_from` is the
+    model's provenance (versions, seeds, hashes). `arrays` are the contents of `prior.npz`,
     `fields.npz` and `residual.npz`, from which the structure was compiled. The residual was learned
-    with these effects; with others it is gone. `handles` (H,) are the vertices that ask for the
-    cloud in the published registration, ascending; None for all.
+    with these effects and is removed when they change. `handles` (H,) are the vertices matched to
+    the cloud in the published registration, ascending; None for all.
     """
 
     kind: str
@@ -68,12 +66,12 @@ class Model:
     chain_names: tuple[str, ...] = ()
     chain_params: Floats = field(default_factory=lambda: np.zeros(0))
     made_from: Document = field(default_factory=dict)
-    error_per_g_mm: float = 0.0  # growth of the model error for each g away from the reference
+    error_per_g_mm: float = 0.0  # model error per g away from the reference gravity
     arrays: BundleArrays | None = field(default=None, repr=False)
-    calibration: Calibration | None = None  # of the servos: what a run's ticks are in commands
+    calibration: Calibration | None = None  # of the servos: converts a run's ticks to commands
     handles: NDArray[np.int64] | None = None
     output: Output | None = None  # meaning of the markers, for a model of forces, angles, levels
-    safety: Safety | None = None  # what the finger may be asked; a model of before has none
+    safety: Safety | None = None  # limits of the finger; None in bundles of earlier versions
     _views: dict[tuple[bytes, bool], views.View] = field(
         default_factory=dict, init=False, repr=False
     )
@@ -82,7 +80,7 @@ class Model:
 
     @property
     def prior(self) -> Shape:
-        """Effective commands (n, C) to flattened points (n, 3N) mm, without the residual."""
+        """The prior without residual: effective commands (n, C) to flattened points (n, 3N) mm."""
         return self.structure.prior
 
     @property
@@ -92,7 +90,7 @@ class Model:
 
     @property
     def residual(self) -> Shape | None:
-        """What was learned on top of the prior with these effects (`adapt`)."""
+        """The correction learned on top of the prior with these effects (`adapt`)."""
         return self.structure.residual
 
     @property
@@ -107,17 +105,17 @@ class Model:
 
     @property
     def tip_indices(self) -> NDArray[np.int64]:
-        """The points whose middle is the tip."""
+        """The points whose mean is the tip."""
         return self.structure.tip_indices
 
     @property
     def gravity_reference(self) -> Floats:
-        """Gravity (3,) that the prior holds, in g, base frame."""
+        """Gravity (3,) included in the prior, in g, base frame."""
         return self.structure.gravity_reference
 
     @property
     def command_range(self) -> Floats:
-        """Lowest and highest command (C, 2) that the prior was made for, in `command_unit`."""
+        """Lowest and highest command (C, 2) for which the prior was made, in `command_unit`."""
         return self.structure.command_range
 
     @property
@@ -137,10 +135,7 @@ class Model:
 
     @property
     def weight_per_length(self) -> float:
-        """The tip weight (g) that would move the tip by the body's length (`Structure`).
-
-        The move is sideways.
-        """
+        """The tip weight (g) that would move the tip sideways by the body length (`Structure`)."""
         return self.structure.weight_per_length
 
     def with_structure(self, **changes: Unpack[StructureFields]) -> Model:
@@ -154,9 +149,9 @@ class Model:
 
     @cached_property
     def learned_in(self) -> tuple[LearnedIn, ...]:
-        """Effects that the robot had while the model was learned (`softmap learn`).
+        """The effects that the robot had while the model was learned (`softmap learn`).
 
-        There are none for a simulator.
+        A simulator has none.
         """
         from softmap_edge.model.learned_in import read_learned_in
 
@@ -179,7 +174,7 @@ class Model:
 
     @property
     def coverage(self) -> Coverage | None:
-        """The commands that taught a learned model; None if they were not kept."""
+        """The commands that a learned model was trained on; None if they were not stored."""
         return None if self.arrays is None else self.arrays.prior.coverage
 
     @property
@@ -189,9 +184,9 @@ class Model:
 
     @cached_property
     def tip_shape(self) -> Shape:
-        """The tip (3,) mm for an effective command, unloaded, as the model hangs.
+        """The tip (3,) mm for an effective command, unloaded, in the model's orientation.
 
-        It is the middle of the `tip_indices` (`predictors.tip`).
+        It is the mean of the `tip_indices` (`predictors.tip`).
         """
         return tip(
             self.structure, self.chain, self.chain_params, self.gravity_reference, 0.0, float("nan")
@@ -200,18 +195,18 @@ class Model:
     def tip(self, acting: Floats) -> Floats:
         """Return the tip (n, 3) mm in the base frame for effective commands `acting` (n, C) mm.
 
-        No effect of sensing is applied.
+        Sensing effects are not applied.
         """
         return np.asarray(self.tip_shape.evaluate(np.asarray(acting, float)))
 
     def tip_jacobian(self, acting: Floats) -> Floats:
-        """Return the slopes (n, 3, C) of the tip, mm per mm, where `acting` (n, C) mm acts."""
+        """Return the slopes (n, 3, C) of the tip, mm per mm, at commands `acting` (n, C) mm."""
         return np.asarray(self.tip_shape.jacobian(np.asarray(acting, float)))
 
     def missing_for(self, name: str) -> list[str]:
-        """Return what this model lacks that the effect `name` acts through.
+        """Return what the effect `name` needs and this model lacks.
 
-        Names of fields, `tendon_compliance`, `contact`, or of a number of its prior.
+        These are names of fields, `tendon_compliance`, `contact`, or a number of the prior.
         """
         there = set(self.fields) | (
             {"tendon_compliance"} if self.structure.cables is not None else set()
@@ -224,12 +219,12 @@ class Model:
     def with_effects(self, names: Sequence[str], params: Floats | Mapping[str, float]) -> Model:
         """Return a model whose chain is exactly `names` with `params` in chain order or by label.
 
-        A parameter that channels share may be given once (`backlash.gap`) or for each channel
-        (`backlash.gap[1]`). In chain order either all of them are given once, or all for each
-        channel.
+        A shared parameter may be given once (`backlash.gap`) or per channel (`backlash.gap[1]`). In
+        chain order, either all of them are given once or all are given per channel.
 
         By label, `params` may also hold changes of the prior's numbers (`changes`). Without an
-        effect that changes its law, the prior has the numbers from before such an effect was added.
+        effect that changes its law, the prior returns to its numbers from before such an effect was
+        added.
         """
         chain = _core.Chain(list(names), self.channels)
         if isinstance(params, Mapping):
@@ -277,7 +272,7 @@ class Model:
         """Return the model with the residual of `arrays` in place of its own, or with none.
 
         Raises:
-            SoftmapError: it is of other commands or points.
+            SoftmapError: its commands or points differ.
         """
         kept = None if self.arrays is None else replace(self.arrays, residual=arrays)
         if arrays is None:
@@ -290,10 +285,8 @@ class Model:
     def changes(self, names: Sequence[str]) -> list[Change]:
         """Return the changes of the prior's numbers that are fitted along with the effects `names`.
 
-        Their labels are those of the effects.
-
-        The numbers of a rod were fitted under the law that it had; where an effect changes it, they
-        are open again.
+        Their labels are those of the effects. The numbers of a rod were fitted under its law, so an
+        effect that changes this law makes them free again.
         """
         laws = [name for name in names if _core.Chain([name], self.channels).numbers]
         if not laws or self._elastic is None:
@@ -301,7 +294,7 @@ class Model:
         return [replace(c, label=f"{laws[0]}.{c.label}") for c in self._elastic.changeable()]
 
     def changed(self, values: Mapping[str, float]) -> Model:
-        """Return the model with changes of the prior's numbers, by the labels of `changes`."""
+        """Return the model with the prior's numbers changed, by the labels of `changes`."""
         if self._elastic is None:
             raise SoftmapError(f"the model of '{self.robot}' has no rod whose numbers could change")
         rod = self._elastic.changed(
@@ -312,7 +305,7 @@ class Model:
 
     @property
     def has_earlier_numbers(self) -> bool:
-        """Whether the prior's numbers changed along with an effect, and earlier ones are known."""
+        """Whether an effect changed the prior's numbers and the earlier ones are stored."""
         return self._before is not None
 
     @property
@@ -321,7 +314,7 @@ class Model:
         return before if isinstance(before, NumbersBefore) else None
 
     def _before_laws(self) -> Model:
-        """Return the model with its rod's numbers, and its error, from before any was changed."""
+        """Return the model with its rod's numbers and error from before any change."""
         before = self._before
         if before is None or self._elastic is None:
             return self
@@ -336,7 +329,7 @@ class Model:
         return replace(model, form_error=error, vertex_error_mm=overall)
 
     def _with_rod(self, rod: ElasticRodArrays, before: NumbersBefore | None) -> Model:
-        assert self.arrays is not None  # that is where the rod comes from
+        assert self.arrays is not None  # the rod's source
         prior = replace(self.arrays.prior, shape=rod, before=before)
         return replace(
             self.with_structure(prior=rod.compiled(), fields=dict(rod.fields())),
@@ -354,10 +347,7 @@ class Model:
     # --- from runs ------------------------------------------------------------------------------
 
     def commands(self, run: Run) -> Floats:
-        """Return the run's commands (T, C) as this model takes them.
-
-        These are the present positions if the run has any.
-        """
+        """Return the run's commands (T, C) for this model: present positions if it has any."""
         u = (run := converted(self, run)).commands("goal" if self.input == "goal" else None)
         from softmap_edge.model.training_range import check_commands
 
@@ -365,7 +355,7 @@ class Model:
         return np.ascontiguousarray(u, float)
 
     def predict(self, run: Run) -> Floats:
-        """Return the points (K, N, 3) mm at the run's seen times, or markers if the run has any."""
+        """Return the points (K, N, 3) mm at seen times, or the markers if the run has any."""
         vertices = self.points.predict(self.chain, self.chain_params[None], self.inputs(run))[0]
         carry = self.view(run).carry
         return flat(
@@ -378,7 +368,7 @@ class Model:
         return np.asarray(self.predict_features(self.chain_names, self.chain_params[None], run)[0])
 
     def inputs(self, run: Run) -> _core.Inputs:
-        """Return a run as the core takes it, for many predictions of one that stays as it is."""
+        """Return a run as input of the core, for repeated predictions of an unchanged run."""
         gravity = self.gravity_reference if run.gravity is None else run.gravity
         return _core.Inputs(
             self.commands(run),
@@ -395,10 +385,8 @@ class Model:
     ) -> Floats:
         """Return features (B, K, V, 3) mm for B parameter sets (B, P) of a chain of `names`.
 
-        The core computes them in one batch.
-
-        What `inputs` makes of the run may be given, here and below, where it is asked again and
-        again.
+        The core computes them in one batch. For repeated calls, here and below, the result of
+        `inputs` may be passed in.
         """
         chain = (
             self.chain
@@ -412,10 +400,8 @@ class Model:
     def through(self, weights: Floats, run: Run) -> _core.Predictor | None:
         """Return the predictor of linear forms of the features, `weights` (3V, M).
 
-        None where shapes are no tables.
-
-        Outputs are three to a vector: forms of zeros fill up. Nothing that senses can be asked with
-        it.
+        None if shapes are not tables. Outputs come in threes, padded with zero forms. Sensing
+        effects cannot be used with it.
         """
         filled = np.zeros((len(weights), -(-weights.shape[1] // 3) * 3))
         each = flat(weights.T.reshape(weights.shape[1], -1, 3), run)
@@ -434,18 +420,18 @@ class Model:
     ) -> Floats:
         """Return the effective commands (B, K, C) of a chain of `names` at the seen times.
 
-        There are B parameter sets (B, P).
+        `params` holds B parameter sets (B, P).
         """
         chain = _core.Chain(list(names), self.channels)
         return self.view(run).predictor.acting(chain, params, inputs or self.inputs(run))
 
     def effective_commands(self, run: Run) -> Floats:
-        """Return what the model's own effects make of the commands, (K, C) at the seen times."""
+        """Return the effective commands (K, C) at the seen times, after the model's own effects."""
         if self.chain_names:
             return np.ascontiguousarray(
                 self.acting(self.chain_names, self.chain_params[None], run)[0]
             )
-        # without a predictor, which a network's table of features would be made for
+        # without a predictor, which would make a table of a network's features
         u = self.commands(run)
         rows = [np.interp(run.t_seen, run.t, channel) for channel in u.T]
         return np.ascontiguousarray(np.reshape(rows, (self.channels, run.frames)).T)
@@ -460,7 +446,7 @@ class Model:
     ) -> Floats:
         """Return the slopes (C, K, V, 3) of the features over effective commands, for one set (P,).
 
-        They are differences over `step` (C,) to both sides.
+        They are central differences over `step` (C,).
         """
         chain, predictor = _core.Chain(list(names), self.channels), self.view(run).predictor
         return predictor.slopes(
@@ -468,10 +454,7 @@ class Model:
         )
 
     def features_at(self, effective: Floats, run: Run) -> Floats:
-        """Return the prior's features (K, V, 3) mm at effective commands (K, C).
-
-        They hold in the conditions of a run.
-        """
+        """Return the prior's features (K, V, 3) mm at effective commands (K, C), for a run's conditions."""
         chain, predictor = _core.Chain([], self.channels), self.view(run).predictor
         return np.asarray(
             predictor.predict(chain, np.zeros((1, 0)), self._inputs_at(effective, run))[0]
@@ -480,7 +463,7 @@ class Model:
     def slopes_at(self, effective: Floats, step: Floats, run: Run) -> Floats:
         """Return the slopes (C, K, V, 3) of the prior at effective commands (K, C).
 
-        They are differences over `step` (C,) to both sides.
+        They are central differences over `step` (C,).
         """
         chain, predictor = _core.Chain([], self.channels), self.view(run).predictor
         return predictor.slopes(
@@ -488,7 +471,7 @@ class Model:
         )
 
     def _inputs_at(self, effective: Floats, run: Run) -> _core.Inputs:
-        """Return the core's inputs with one effective command for each seen frame."""
+        """Return input of the core with one effective command per seen frame."""
         seen = np.ascontiguousarray(run.t_seen, float)
         at = np.clip(
             np.searchsorted(np.asarray(run.t, float), seen, side="right") - 1, 0, len(run.t) - 1
@@ -507,40 +490,37 @@ class Model:
         )
 
     def seen_features(self, run: Run) -> Floats:
-        """Return the measured features (K, V, 3) mm; NaN where too little was seen."""
+        """Return the measured features (K, V, 3) mm; NaN where too few points were seen."""
         return views.seen_features(self, run)
 
     def seen_points(self, run: Run) -> Floats:
-        """Return the run's points (K, N, 3) mm, after checking that they are of this robot."""
+        """Return the run's points (K, N, 3) mm after checking that they belong to this robot."""
         return views.seen_points(self, run)
 
     def points_in_mm(self, run: Run) -> Floats:
-        """Return the same after checking that the points are as large as the robot.
+        """Return the run's points after checking that their size fits the robot.
 
-        Otherwise an effect would stand for a wrong unit.
+        A wrong unit would otherwise be explained by an effect.
         """
         return views.points_in_mm(self, run)
 
     def run_feature_map(self, run: Run) -> FeatureMap:
-        """Return the map to features (V) of a run's points: body sections, or the markers."""
+        """Return the map from a run's points to features (V): body sections, or the markers."""
         return self.view(run).mapping
 
     def run_form_error(self, run: Run) -> Floats:
-        """Return the model error, held out, (V, 3) mm of the run's features in its orientations."""
+        """Return the held-out model error (V, 3) mm of the run's features in its orientations."""
         return views.form_error(self, run)
 
     def run_leaning(self, run: Run) -> Floats:
-        """Return (K, 4) of each seen frame: 1, and the error for leaning along x, y, z.
+        """Return (K, 4) for each seen frame: 1, and the relative error for a lean along x, y, z.
 
         The latter are relative to the error in the reference orientation.
         """
         return views.leaning(self, run)
 
     def view(self, run: Run) -> views.View:
-        """Return how this model sees the run's points.
-
-        It is kept, as a fit needs it for every prediction.
-        """
+        """Return this model's view of the run's points, cached for repeated predictions."""
         key = views.key_of(self, run)
         if key not in self._views:
             if len(self._views) >= KEPT_VIEWS:

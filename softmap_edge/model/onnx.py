@@ -1,19 +1,18 @@
 """Trained networks of a bundle, `prior.onnx` and `residual.onnx`.
 
-They map commands (n, C) to the points of a body (n, 3N) mm.
+They map commands (n, C) to the points of a body (n, 3N) mm. The compiled core runs them
+(`rust/network/`) with exact slopes and without onnxruntime. Training compares both when it exports
+a network, and `softmap check BUNDLE` compares them again; hashes in the bundle protect the file in
+between. Fits use features, not points: for them a network of up to three commands becomes a table
+(`tabulated`).
 
-The compiled core runs them (`rust/network/`), with exact slopes, and needs no onnxruntime. Training
-compares both where it exports a network, `softmap check BUNDLE` does it again; hashes of the bundle
-vouch for the file in between. Fits look at features, not at points: there a network of up to three
-commands becomes a table (`tabulated`).
-
-A graph of other operators is one that only onnxruntime runs. It is run only if the user allows it
-(`--trust-onnx`), once, in a child process with limits of memory and time, at the nodes of a grid of
-its up to three commands. The results become a table (`table_from_onnxruntime`), with all properties
-of a table: slopes, fields, the control loop without Python. The error of the table between its
-nodes is measured, reported and limited. No graph is run that refers to other files, or that holds loops,
-branches, functions or foreign operators (`_core.check_onnx`). Pinned by tests/model/test_network.py
-and tests/files/test_untrusted_bundles.py.
+A graph with other operators needs onnxruntime. It is run only if the user allows it
+(`--trust-onnx`): once, in a child process with limits of memory and time, at the nodes of a grid
+over its up to three commands. The results become a table (`table_from_onnxruntime`) with all
+properties of a table: slopes, fields, a control loop without Python. The error of the table between
+its nodes is measured, reported and limited. A graph is never run if it refers to other files, or
+holds loops, branches, functions or foreign operators (`_core.check_onnx`). Pinned by
+tests/model/test_network.py and tests/files/test_untrusted_bundles.py.
 """
 
 from __future__ import annotations
@@ -36,17 +35,17 @@ from softmap_edge.model.shapes import Grid, ModeArrays, NetworkArrays
 
 Floats = NDArray[np.float64]
 
-BATCH = 64  # commands that onnxruntime is given at a time, so that a wide graph needs little memory
-CHILD_MB, CHILD_S = 1000, 60.0  # limits of onnxruntime in a child process
+BATCH = 64  # commands per onnxruntime call, so that a wide graph needs little memory
+CHILD_MB, CHILD_S = 1000, 60.0  # MB and s, limits of onnxruntime in a child process
 CHECKED = 32  # commands at which both implementations are compared
-AGREE_MM = 1e-3  # single precision of 100 mm through five layers leaves 1e-4
-# of the range to each side that a table covers; commands that effects change may lie there
+AGREE_MM = 1e-3  # mm; single precision of 100 mm through five layers gives 1e-4
+# of the range, on each side: a table extends this far, because effects may change commands
 BEYOND = 0.15
-ASKED = {1: 201, 2: 41, 3: 15}  # nodes of a grid that onnxruntime is asked at
-MOST_NODES = 4000  # of a grid whose axes the bundle gives
-APART_MM = 0.2  # that a table of them may be off between its nodes, RMS over points and commands
-KEPT_MM = 2e-3  # modes of such a table: what the others add, RMS
-# of a table, by channels; of smooth networks 0.001 mm, of kinked ones 0.02 mm RMS
+ASKED = {1: 201, 2: 41, 3: 15}  # grid nodes per command, evaluated by onnxruntime
+MOST_NODES = 4000  # nodes of a grid with axes given by the bundle
+APART_MM = 0.2  # mm, RMS error of such a table between its nodes, over points and commands
+KEPT_MM = 2e-3  # mm, RMS of all omitted modes of such a table
+# nodes of a table by channels: error 0.001 mm for smooth networks, 0.02 mm RMS for kinked ones
 NODES = {1: 201, 2: 61, 3: 21}
 
 
@@ -58,14 +57,14 @@ def read_network(
 ) -> tuple[NetworkArrays | ModeArrays, Document | None]:
     """Read an ONNX file: its arrays, and a description if only onnxruntime can read it.
 
-    One that training wrote stays a network; another becomes a table.
+    A file written by training stays a network; any other becomes a table.
 
     Args:
         file: the file.
-        command_range: (C, 2) mm, within which both are compared.
-        grid: kept with the network: a table takes its axes, where there are some.
-        trusted: asked whether onnxruntime may run a graph that the core does not read,
-            `trusted(file, sha256)`.
+        command_range: range of the comparison, (C, 2) mm.
+        grid: stored with the network; a table uses its axes, if any.
+        trusted: called as `trusted(file, sha256)`; returns whether onnxruntime may run a graph that
+            the core cannot read.
 
     Raises:
         BundleError: it is too large, refers to other files, holds loops, has other channels, or is
@@ -99,18 +98,18 @@ def read_network(
 
 
 def compare_with_onnxruntime(name: str, content: bytes, command_range: Floats) -> float | None:
-    """Return by how much core and onnxruntime differ at commands all over the range, at most, mm.
+    """Return the largest difference (mm) of core and onnxruntime at commands over the full range.
 
     Args:
-        name: of the file
-        content: its bytes, a network that the core reads
-        command_range: (C, 2) mm
+            name: of the file.
+            content: its bytes, a network that the core reads.
+            command_range: (C, 2) mm.
 
     Returns:
-        float | None: the largest difference, mm; None where onnxruntime is not installed
+        float | None: the largest difference, mm; None if onnxruntime is not installed.
 
     Raises:
-        BundleError: they differ by more than `AGREE_MM`, or onnxruntime cannot run it
+        BundleError: they differ by more than `AGREE_MM`, or onnxruntime cannot run it.
     """
     if find_spec("onnxruntime") is None:
         return None
@@ -129,18 +128,18 @@ def compare_with_onnxruntime(name: str, content: bytes, command_range: Floats) -
 def table_from_onnxruntime(
     name: str, content: bytes, command_range: Floats, grid: Grid, why: str
 ) -> tuple[ModeArrays, Document]:
-    """Return the arrays of a table of a graph that only onnxruntime runs, and a description of it.
+    """Return the arrays and a description of a table for a graph that only onnxruntime runs.
 
     Args:
         name: of the file.
         content: its bytes.
         command_range: (C, 2) mm.
         grid: as for `read_network`.
-        why: why the core does not read it.
+        why: the reason why the core cannot read it.
 
     Raises:
-        BundleError: onnxruntime does not run it, it has too many commands, or a table is too far
-            from it.
+        BundleError: onnxruntime cannot run it, it has too many commands, or the table's error is
+            too large.
     """
     channels = len(command_range)
     if channels not in ASKED:
@@ -176,7 +175,7 @@ def table_from_onnxruntime(
         raise BundleError(f"{name}: {why}; its outputs {values.shape} are no finite points (n, 3N)")
     mean = values.mean(axis=0)
     size, modes = _modes(values - mean)
-    rest = np.sqrt(np.cumsum(np.maximum(size, 0.0)) * 3 / values.size)  # mm, of all modes up to one
+    rest = np.sqrt(np.cumsum(np.maximum(size, 0.0)) * 3 / values.size)  # mm, up to each mode
     modes = modes[rest > KEPT_MM][::-1] if (rest > KEPT_MM).any() else modes[-1:]
     weights = (values - mean) @ modes.T
     table = _core.Table(axes, weights, mean, np.ascontiguousarray(modes))
@@ -202,7 +201,7 @@ def table_from_onnxruntime(
 def _modes(values: Floats) -> tuple[Floats, Floats]:
     """Return the squared sizes (K,) of the principal modes of `values` (n, M), and the modes.
 
-    The sizes rise; the modes are (K, M).
+    The sizes increase; the modes are (K, M).
     """
     if len(values) >= values.shape[1]:
         size, modes = np.linalg.eigh(values.T @ values)
@@ -221,7 +220,7 @@ def _grid(axes: Sequence[Floats]) -> Floats:
 
 
 def run_onnxruntime(content: bytes, commands: Floats) -> Floats:
-    """Return what onnxruntime gives (n, M) for an ONNX file's `content` at commands (n, C).
+    """Return the outputs (n, M) of onnxruntime for an ONNX file's `content` at commands (n, C).
 
     Raises:
         BundleError: onnxruntime is not installed or cannot run it, or it needs too much memory.
@@ -232,13 +231,13 @@ def run_onnxruntime(content: bytes, commands: Floats) -> Floats:
         raise BundleError("onnxruntime is not installed; run pip install onnxruntime") from None
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 4  # its messages become an error here
+    options.log_severity_level = 4  # its messages are raised as an error here
     try:
         session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
         (given,) = session.get_inputs()
         parts = [commands[k : k + BATCH].astype(np.float32) for k in range(0, len(commands), BATCH)]
         found = [session.run(None, {given.name: part})[0] for part in parts]
-    # Its errors have no common base class but Exception.
+    # its errors share no base class but Exception
     except Exception as fault:
         if "allocate" in str(fault) or isinstance(fault, MemoryError):
             raise BundleError(
@@ -251,9 +250,9 @@ def run_onnxruntime(content: bytes, commands: Floats) -> Floats:
 
 
 def tabulated(network: _core.Network, command_range: Floats) -> _core.Network | _core.Table:
-    """Return a network of few outputs as a table over its commands, or itself for too many.
+    """Return a network with few outputs as a table over its commands; the network if too many.
 
-    command_range: (C, 2) mm; the table covers `BEYOND` more to each side.
+    `command_range` is (C, 2) mm; the table extends `BEYOND` it on each side.
     """
     if network.channels not in NODES:
         return network

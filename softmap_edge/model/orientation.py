@@ -1,9 +1,9 @@
-"""A model's shapes in the orientations of a run, to which clouds and frames are matched.
+"""A model's shapes in the orientations of a run, for matching clouds and frames.
 
-A prior is made in one orientation. Where frames declare another, the model's fields bend it: its
-shapes on a grid of commands, in their leading modes, are then a table that is as quick as the
-prior, one for each orientation of the run. Where these are more than MOST (a robot that is carried
-about), the prior stands. Units: mm, g. Pinned by tests/alignment/test_registration.py,
+A prior is made for one orientation. If frames declare another, the model's fields bend it: the
+leading modes of its shapes on a grid of commands form a table as fast as the prior, one per
+orientation of the run. With more than MOST orientations (a robot that is carried about), the prior
+is used unchanged. Units: mm, g. Pinned by tests/alignment/test_registration.py,
 tests/calibration/test_calibration.py.
 """
 
@@ -24,18 +24,19 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
-NEAR = 0.02  # g: orientations nearer to each other are one; 1 degree
+NEAR = 0.02  # g: orientations that differ by less are one; about 1 degree
 MOST = 6  # orientations of a run
-NODES = {1: 41, 2: 25, 3: 9}  # commands a channel
+NODES = {1: 41, 2: 25, 3: 9}  # grid commands per channel
 MODES = 32
 
 
 def priors_by_orientation(model: Model, run: Run) -> list[tuple[Rows, Shape]]:
-    """Return the frames (n,) of each orientation that a run declares, and a model's prior in it.
+    """Return the frames (n,) of each orientation declared by a run, and the model's prior there.
 
     Args:
-        model: its fields say how it hangs; its residual is in it, its effects are not.
-        run: the recording; frames without an orientation of their own get the prior as it is.
+        model: with fields that give its shape in an orientation; its residual is included, its
+            effects are not.
+        run: the recording; frames without a declared orientation get the unchanged prior.
 
     Returns:
         list: numbers of frames, each once, and a shape: commands (n, C) to points (n, 3N) mm.
@@ -46,10 +47,7 @@ def priors_by_orientation(model: Model, run: Run) -> list[tuple[Rows, Shape]]:
 
 
 def other_orientation(model: Model, run: Run) -> bool:
-    """Return whether a model can predict the other orientations in which frames are.
-
-    They are other than that of the prior. False if there are none.
-    """
+    """Return whether frames declare other orientations than the prior's that can be predicted."""
     return any(gravity is not None for _, gravity in _orientations(model, run))
 
 
@@ -61,7 +59,7 @@ def gravity_seen(run: Run) -> Floats:
 
 
 def _orientations(model: Model, run: Run) -> list[tuple[Rows, Floats | None]]:
-    """Return the frames and the gravity (3,) g of each orientation; None for that of the prior."""
+    """Return the frames and gravity (3,) g of each orientation; None for that of the prior."""
     every = np.arange(run.frames)
     if (
         run.gravity is None
@@ -85,7 +83,7 @@ def _orientations(model: Model, run: Run) -> list[tuple[Rows, Floats | None]]:
 
 
 def prior_under_gravity(model: Model, gravity: Floats | None = None) -> Shape:
-    """Return the prior of a model with its residual, as it is or under a gravity (3,) g."""
+    """Return the prior of a model with its residual, unchanged or under a gravity (3,) g."""
     if gravity is None:
         return model.structure.corrected_prior
     axes = [np.linspace(low, high, NODES[model.channels]) for low, high in model.command_range]

@@ -1,13 +1,12 @@
 """Parameters of a chain for one run or several: labels, units, nulls, starts and bounds.
 
-Parameters of a session rather than of the robot (PER_RUN: the pose of the base in the camera's
-frame, its drift, the offset of the clocks) have separate numbers for each run, labelled
-`mount.turn_x@2` from the second on. The open numbers of the prior are listed with the parameters of
-effects.
+Parameters of a session, not of the robot (PER_RUN: the pose of the base in the camera's frame, its
+drift, the offset of the clocks), have separate numbers for each run, labelled `mount.turn_x@2` from
+the second on. The free numbers of the prior are listed with the parameters of effects.
 
-Numbers that channels share are one parameter of the layout, `backlash.gap`, unless the layout
-splits their effect. Then each channel, or each cable, has its own, `backlash.gap[0]`. `spread` maps
-the numbers of the runs' chains to the layout. Pinned by tests/diagnosis/test_fit.py,
+Numbers shared by channels are one parameter of the layout, `backlash.gap`, unless the layout splits
+their effect. Then each channel or cable has its own, `backlash.gap[0]`. `spread` maps the layout to
+the numbers of the runs' chains. Pinned by tests/diagnosis/test_fit.py,
 tests/diagnosis/test_several_runs.py and tests/model/test_shared_numbers.py.
 """
 
@@ -31,13 +30,13 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-REACH_MM = 16.0  # of the finger whose commands the declared bounds in mm were chosen for
+REACH_MM = 16.0  # reach of the finger for which the declared bounds in mm were chosen
 PER_RUN = ("mount", "camera_drift", "clock_shift")
 
 
 @dataclass(frozen=True, eq=False)
 class Ranges:
-    """Start and search range (P,) of fits of a chain, and their `limit` beyond `high`."""
+    """Start and search range (P,) of the fits of a chain, and their `limit` beyond `high`."""
 
     start: Floats
     low: Floats
@@ -47,33 +46,33 @@ class Ranges:
 
 @dataclass(frozen=True)
 class Layout:
-    """The parameters of a chain for a record: arrays (L,), and their places in each run's chain.
+    """The parameters of a chain: arrays (L,), and their positions in each run's chain.
 
-    A full set (N,) holds all numbers of the runs' chains, one for each channel.
+    A full set (N,) holds all numbers of the runs' chains, one per channel.
     """
 
     names: tuple[str, ...]
     labels: list[str]
-    groups: list[str]  # labels for all channels of a parameter; its own label where it is not split
+    groups: list[str]  # label for all channels of a parameter; its own label if not split
     units: list[str]
     null: Floats
     start: Floats
     low: Floats
     high: Floats
-    limit: Floats  # beyond `high`, for parameters that may be larger than is plausible
+    limit: Floats  # beyond `high`, for parameters that may exceed the plausible range
     log: NDArray[np.bool_]
     integer: NDArray[np.bool_]
-    instant: NDArray[np.bool_]  # times within the run
-    spread: NDArray[np.intp]  # parameter (N,) of each number of the full set
-    columns: list[NDArray[np.intp]]  # (chain's P,) for each run: its places in the full set
-    # parameters of effects; the others are numbers of the prior that are open with them
+    instant: NDArray[np.bool_]  # time within the run
+    spread: NDArray[np.intp]  # parameter for each number of the full set, (N,)
+    columns: list[NDArray[np.intp]]  # positions (P,) of each run's numbers in the full set
+    # parameters of effects; the others are free numbers of the prior
     declared: NDArray[np.bool_]
 
     @property
     def middle(self) -> Floats:
         """Typical strength (P,), halfway from null to the far end.
 
-        It is the start where the scale is logarithmic.
+        It is the start for a logarithmic scale.
         """
         far = np.where(self.high > self.null, self.high, self.low)
         return np.where(
@@ -81,7 +80,7 @@ class Layout:
         )
 
     def full(self, params: Floats) -> Floats:
-        """Return the full sets (..., N) of parameter sets (..., L); full sets unchanged."""
+        """Return the full sets (..., N) of parameter sets (..., L); full sets are unchanged."""
         width = params.shape[-1]
         if width not in (len(self.labels), len(self.spread)):
             raise SoftmapError(
@@ -90,14 +89,13 @@ class Layout:
         return params if width == len(self.spread) else params[..., self.spread]
 
     def values(self, params: Mapping[str, float], absent: Floats | None = None) -> Floats:
-        """Return parameters (L,) by label; for numbers of another run, take those of its first run.
+        """Return parameters (L,) by label; numbers missing for a run are those of the first run.
 
-        A label without an index is used for all channels. Where there is none, `absent` (L,) is
-        taken.
+        A label without an index applies to all channels. Missing labels take `absent` (L,).
 
         Raises:
-            SoftmapError: no such parameter, or channels have different numbers where this layout
-                has one for all.
+            SoftmapError: there is no such parameter, or channels have different numbers where this
+                layout has one for all.
         """
         found = [_found(params, label, group) for label, group in zip(self.labels, self.groups)]
         if absent is not None:
@@ -138,18 +136,16 @@ def layout_of(
     seconds: tuple[float, float],
     split: Collection[str] = (),
 ) -> Layout:
-    """Return the parameters of a chain of `names`.
-
-    The effects in PER_RUN have theirs once for each of `runs`.
+    """Return the parameters of a chain of `names`; effects in PER_RUN have theirs once per run.
 
     Args:
         names: the effects.
         chain: the compiled chain of them.
-        changes: numbers of the prior that are open with them.
+        changes: free numbers of the prior.
         ranges: search ranges of its numbers on this robot, from `ranges_of`.
-        runs: the number of runs.
-        seconds: interval in which an instant has enough of every run on both sides.
-        split: effects whose shared parameters have a number for each channel or cable.
+        runs: number of runs.
+        seconds: interval in which an instant leaves enough of every run on both sides.
+        split: effects whose shared parameters have a number per channel or cable.
     """
     count = len(chain.labels)
     own = [i for i, label in enumerate(chain.labels) if label.split(".")[0] in PER_RUN]
@@ -214,12 +210,12 @@ def layout_of(
 
 
 def _alone(chain: _core.Chain, i: int, split: Collection[str]) -> bool:
-    """Whether a number of a chain is a parameter by itself because its effect is split."""
+    """Return whether a chain's number is a separate parameter because its effect is split."""
     return chain.labels[i].split(".")[0] in split and list(chain.tie).count(chain.tie[i]) > 1
 
 
 def _firsts(labels: Sequence[str]) -> tuple[list[str], list[int], NDArray[np.intp]]:
-    """Return the distinct `labels` in order, their first places, and each label's index in them."""
+    """Return the distinct `labels` in order, their first positions, and each label's index."""
     place = {label: k for k, label in enumerate(dict.fromkeys(labels))}
     first = {label: i for i, label in reversed([*enumerate(labels)])}
     return (
@@ -232,10 +228,10 @@ def _firsts(labels: Sequence[str]) -> tuple[list[str], list[int], NDArray[np.int
 def ranges_of(model: Model, chain: _core.Chain) -> Ranges:
     """Return the search ranges of a chain's fits on this robot.
 
-    Ranges declared in mm of command are for tendons that move by REACH_MM to each side. On a robot
-    with another range, in any unit, they scale with the range. Where the data require it a fit may
-    go further: to a number of half ranges, or to a weight given by its displacement of this body,
-    in the model's own scale of loads.
+    Ranges declared in mm of command are for tendons that move by REACH_MM on each side. They scale
+    with the range of the robot, in any unit. If the data require it, a fit may go further: to a
+    number of half ranges, or to a weight given by its displacement of this body, in the model's own
+    scale of loads.
     """
     half = _half_range(model)
     in_commands = effects_that("channel")
@@ -252,7 +248,7 @@ def ranges_of(model: Model, chain: _core.Chain) -> Ranges:
 
 
 def _half_range(model: Model) -> float:
-    """Return half the range of a model's commands, in their unit; REACH_MM if it has none."""
+    """Return half the command range of a model, in its unit; REACH_MM if it has none."""
     reach = model.command_range
     half = float(np.median(0.5 * np.ptp(reach, axis=1))) if len(reach) else 0.0
     return half if half > 0 else REACH_MM

@@ -1,4 +1,4 @@
-"""The polynomial rod in Python: chords whose bending angles are a polynomial of the commands.
+"""The polynomial rod in Python: chords whose bending angles are polynomials of the commands.
 
     v (rad) ≈ polynomial(q),   length (mm) ≈ quadratic(v),   q = (u_eff − centre)/scale
 
@@ -22,8 +22,8 @@ from softmap_edge.model.elastic_rod import ElasticRodArrays
 
 Floats = NDArray[np.float64]
 
-MOST_INTERVALS = 64  # of splines, of each command
-# the servos hold, so a load bends each chord into an S and leaves its ends' directions alone
+MOST_INTERVALS = 64  # spline intervals per command
+# servos hold, so a load bends each chord into an S and its ends keep their directions
 LOCK = 1.0
 
 
@@ -31,8 +31,10 @@ LOCK = 1.0
 class Weights:
     """A fitted polynomial rod.
 
-    It has `centre` and `scale` (C,) of the commands, `angles` (1 + F, 2K) rad and `lengths` (1 + G,
-    K) mm.
+    Attributes:
+        centre, scale: of the commands, (C,).
+        angles: weights (1 + F, 2K), rad.
+        lengths: weights (1 + G, K), mm.
     """
 
     centre: Floats
@@ -43,13 +45,19 @@ class Weights:
 
 @dataclass(frozen=True, eq=False)
 class PolynomialRodArrays:
-    """The numbers of a rod.
+    """The numbers of a polynomial rod.
 
-    `base` (3,) mm, `centre` and `scale` (C,) in command units, `degree`, `angles` (1 + F, 2K) rad,
-    `lengths` (1 + G, K) mm, the nominal `compliance` of its load fields in N⁻¹·mm⁻² and their
-    `lock`: how far the tendons hold each chord's mean bending against a load, 0 (not at all) to 1
-    (motors that hold, tendons that do not stretch). With `pulled` the polynomial is in the pulls of
-    two cables a command. With `intervals` it is a sum of splines of so many intervals.
+    Attributes:
+        base: (3,) mm.
+        centre, scale: of the commands, (C,), in command units.
+        degree: of the polynomial.
+        angles: (1 + F, 2K) rad.
+        lengths: (1 + G, K) mm.
+        compliance: nominal, of its load fields, N⁻¹·mm⁻².
+        lock: how far tendons hold each chord's mean bending against a load, from 0 (not at all) to
+            1 (holding motors and inextensible tendons).
+        pulled: whether the polynomial is in the pulls of two cables per command.
+        intervals: of the splines, if the map is a sum of splines.
     """
 
     base: Floats
@@ -77,7 +85,7 @@ class PolynomialRodArrays:
     def fields(self) -> dict[str, _core.RodField]:
         """Return its load fields by name, for a nominal weight of 1 N.
 
-        Unit: mm per N of tip force, mm per g.
+        Units: mm per N of tip force, mm per g.
         """
         rod = self.compiled()
         return {name: _core.RodField(rod, name, self.compliance, self.lock) for name in _core.LOADS}
@@ -118,7 +126,7 @@ class PolynomialRodArrays:
             "compliance": 1,
             "lock": 1,
         }
-        # earlier versions have none
+        # absent from files of earlier versions
         axes |= {name: 1 for name in ("pulled", "intervals") if name in arrays}
         values: dict[str, Floats] = {}
         for name, ndim in axes.items():
@@ -174,10 +182,10 @@ RodArrays = ElasticRodArrays | PolynomialRodArrays
 
 
 def read_rod(arrays: Mapping[str, NDArray[np.generic]]) -> RodArrays:
-    """Read the rod in the arrays of `prior.npz`, of either kind.
+    """Read the rod of either kind from the arrays of `prior.npz`.
 
     Raises:
-        SoftmapError: an array is missing, or holds what no rod has.
+        SoftmapError: an array is missing, or holds values invalid for a rod.
     """
     if "numbers" in arrays:
         return ElasticRodArrays.from_npz(arrays)

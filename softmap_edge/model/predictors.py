@@ -1,6 +1,6 @@
-"""Compile the predictors of a structure.
+"""Compile the predictors of a structure: of all points, of linear maps of them, or of contacts.
 
-They predict all points, a linear map of them, or the places where obstacles stop the body.
+Contacts are the stations where obstacles stop the body.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Shape = _core.Shape
 Contact = tuple[Shape, dict[str, Shape], _core.Cables | None, _core.Second | None, list[float]]
-_OUTSIDE = 0.75  # of a station's vertices lie within its radius: a domed tip has many near its axis
-_STATION_SHARE = 0.05  # of the length to each side of a station
+_OUTSIDE = 0.75  # of a station's vertices, within its radius: a domed tip has many near its axis
+_STATION_SHARE = 0.05  # of the length, on each side of a station
 
 
 def all_points(structure: Structure) -> _core.Predictor:
@@ -37,7 +37,7 @@ def all_points(structure: Structure) -> _core.Predictor:
 
 
 def projected(structure: Structure, mapping: FeatureMap) -> _core.Predictor:
-    """Return the predictor of the features (V, 3) mm that `mapping` makes of the points."""
+    """Return the predictor of the features (V, 3) mm that `mapping` computes from the points."""
     prior, fields, cables, second = _through(structure, mapping)
     return _predictor(structure, prior, fields, mapping.positions, cables, second)
 
@@ -45,7 +45,7 @@ def projected(structure: Structure, mapping: FeatureMap) -> _core.Predictor:
 def stations(structure: Structure) -> Contact | None:
     """Return the stations at which an obstacle can stop the body.
 
-    They are the middles of the stations, how fields move them, and their radii (mm).
+    They have centres, the fields that move these, and radii (mm).
     """
     if (
         not {name for name in _core.FIELDS if name.startswith("push")} <= set(structure.fields)
@@ -76,19 +76,17 @@ def tip(
     load: float,
     temperature: float,
 ) -> Shape:
-    """Return the tip (3,) mm in the base frame for an effective command.
+    """Return the tip (3,) mm in the base frame for an effective command and a chain's shape effects.
 
-    The shape effects of a chain apply.
-
-    A network stays one: its slopes are exact.
+    A network is not tabulated, so its slopes are exact.
 
     Args:
         structure: the body.
-        chain: effects; those of commands do not count, for `acting` is what they made.
+        chain: effects; command effects are ignored, because `acting` already includes them.
         params: of the chain, shape (P,).
         gravity: unit vector (3,), base frame.
         load: g at the tip.
-        temperature: °C, NaN where it is not known.
+        temperature: °C, NaN if unknown.
     """
     weights = np.zeros((1, len(structure.rest)))
     weights[0, structure.tip_indices] = 1.0 / len(structure.tip_indices)
@@ -101,9 +99,9 @@ def tip(
 def _through(
     structure: Structure, mapping: FeatureMap, tables: bool = True
 ) -> tuple[Shape, dict[str, Shape], _core.Cables | None, _core.Second | None]:
-    """Return prior with residual, fields, cables and second order, seen through a linear map.
+    """Return prior with residual, fields, cables and second order, after a linear map.
 
-    Networks are taken as `tables`.
+    Networks are converted to `tables`.
     """
     matrix, zero = mapping.matrix(), np.zeros(3 * len(mapping.weights))
     seen = [
@@ -125,7 +123,7 @@ def _through(
 
 
 def _seen(structure: Structure, shape: Shape) -> Shape:
-    """Return a shape of few outputs in the form for fits: a network as a table."""
+    """Return a shape with few outputs in the form for fits: a network as a table."""
     if not isinstance(shape, _core.Network):
         return shape
     from softmap_edge.model.onnx import tabulated

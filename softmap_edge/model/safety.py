@@ -1,11 +1,11 @@
 """Limits of a finger's commands (`safety.toml` in its bundle), in its units, each with its source.
 
-The `rig.toml` of the robot is the ceiling; these limits can only tighten it
-(`robot/servo/limits.py`). `derived` takes them from the model: the window is where the simulation
-(or the run that taught) has been, tension and strain are the largest that it holds there. The
-strain is that of the surface's triangles against their rest, λ − 1 of the larger principal stretch;
-inside a body that bends it is smaller. A limit that neither gives is a choice, and `assumes` lists
-it. Pinned by tests/model/test_safety.py.
+The robot's `rig.toml` is the upper bound; these limits can only tighten it
+(`robot/servo/limits.py`). `derived` computes them from the model. The window is the range of the
+simulation or of the training run. Tension and strain are their largest values in it. Strain is that
+of the surface's triangles relative to rest, λ − 1 of the larger principal stretch; inside a bending
+body it is smaller. Limits from neither source are choices, listed in `assumes`. Pinned by
+tests/model/test_safety.py.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 SCHEMA = "softmap.safety/1"
-# a cast silicone's modulus is known to a half: so much harder than simulated may a tendon pull
+# the modulus of cast silicone is known to within a half, so tension may exceed the simulated one
 MARGIN = 1.5
 CROSSING = 4.0  # s in which the widest command crosses its window
-START = 10.0  # 1/s: the slew is reached in a tenth of a second
-JUMP = 0.25  # of the window: largest jump of a target without a report
-MOST_LOOKS = 700  # commands of the window at which tension and strain are looked at
-LEAST_LOOKS = 3  # along each command
-# times the simulated tension that may be allowed at most, and N where none was simulated
+START = 10.0  # 1/s: the slew rate is reached in a tenth of a second
+JUMP = 0.25  # of the window: largest unreported jump of a target
+MOST_LOOKS = 700  # commands of the window at which tension and strain are computed
+LEAST_LOOKS = 3  # least number along each command
+# largest allowed tension: times the simulated one; N without simulation
 FAR, HIGHEST = 3.0, 1000.0
-DAMAGED = 4.0  # mm/mm: a strain that no surface has
+DAMAGED = 4.0  # mm/mm: impossible strain of a surface
 STALE, HOLD, SLACKEN, RAMP = 0.25, 2.0, 5.0, 1.0  # s
-BAND = 0.02 / 32.0  # of the window: of 32 mm what a still hand's noise stays below
+BAND = 0.02 / 32.0  # of the window (32 mm): above the noise of a hand at rest
 TURNS_A_SECOND, BURST = 4.0, 4.0
-# What the guard itself bounds, in s, 1/s and 1; lengths are bounded by the window.
+# bounds of the guard itself, in s, 1/s and 1; lengths are bounded by the window
 TIMES, TURNS = ("stale", "hold", "slacken", "ramp"), ("turns", "burst")
 SIMULATED = ("tension_n", "strain", "modulus_mpa")
 LONGEST = 300  # characters of a sentence
@@ -51,14 +51,19 @@ LONGEST = 300  # characters of a sentence
 class Safety:
     """Limits of a finger of C commands in `unit` (mm or another command unit).
 
-    low, high: (C,) the window of commands · slew, acceleration: per s and s² of each command ·
-    jump: by which a target may jump unreported, and beyond which it is refused · tension: N of any
-    tendon, None without a simulation · `stale`, `hold`, `slacken`, `ramp`: s, as in
-    docs/reference/safety.md · band: that a goal comes back before its servo turns · turns:
-    reversals a second in the long run, `burst` at once · simulated: the largest tension (N) and
-    strain in the window and the modulus (MPa) that they belong to, as far as known · assumes: that
-    in words, and what is a choice · edited: the file is not the one that was written with the
-    bundle.
+    Attributes:
+        low, high: (C,) window of the commands.
+        slew, acceleration: (C,) per s and per s².
+        jump: two limits of a target's jump: above the first it is reported, above the second
+            refused.
+        tension: largest of any tendon, N; None without a simulation.
+        stale, hold, slacken, ramp: s, as in docs/reference/safety.md.
+        band: return motion of a goal below which the servo does not reverse.
+        turns, burst: reversals per second in the long run, and in a burst.
+        simulated: largest tension (N) and strain in the window, and the modulus (MPa) that they
+            belong to, as far as known.
+        assumes: the assumptions and choices in words.
+        edited: whether the file differs from the one written with the bundle.
     """
 
     unit: str
@@ -80,9 +85,9 @@ class Safety:
     edited: bool = field(default=False, compare=False)
 
     def within(self, reach: Floats) -> Safety | None:
-        """Return the limits where the model's range `reach` (C, 2) is narrower.
+        """Return the limits, reduced where the model's range `reach` (C, 2) is narrower.
 
-        None where no window is left.
+        None if no window remains.
         """
         low, high = (_inward(side) for side in np.asarray(reach, float).T)
         low, high = np.maximum(low, self.low), np.minimum(high, self.high)
@@ -125,15 +130,16 @@ class Safety:
 
 
 def read_safety(text: str, reach: Floats, unit: str, where: str) -> Safety:
-    """Return the limits in the text of a `safety.toml`, each within what is allowed.
+    """Return the limits in the text of a `safety.toml`, each checked against its bounds.
 
     Args:
-        reach: (C, 2) the model's range of commands, beyond which no window goes. unit: of the
-            model's commands.
-        where: what an error names.
+        text: of the file.
+        reach: range of the model's commands, (C, 2); the window must lie in it.
+        unit: of the model's commands.
+        where: the file's name in errors.
 
     Raises:
-        BundleError: no TOML, an unknown or missing key, or a limit out of range; nothing is
+        BundleError: invalid TOML, an unknown or missing key, or a limit out of range; nothing is
             clamped.
     """
     try:
@@ -142,7 +148,7 @@ def read_safety(text: str, reach: Floats, unit: str, where: str) -> Safety:
         raise
     except SoftmapError as fault:
         raise BundleError(f"{fault}; mend it there, or build the bundle again") from None
-    except (ValueError, RecursionError) as fault:  # what is no TOML is a ValueError
+    except (ValueError, RecursionError) as fault:  # invalid TOML is a ValueError
         raise BundleError(
             f"{where}: no TOML ({fault!s:.80}); mend it there, or build the bundle again"
         ) from None
@@ -172,7 +178,7 @@ def _read(top: TomlTable, reach: Floats, unit: str) -> Safety:
                 f"allowed is low < high within {least:g} to {most:g}, where the model has been"
             )
     reported, refused = _needed_pair(command, "jump", width)
-    # The simulated values in the file may be edited too: `held_to` compares with the model.
+    # the simulated values in the file may be edited too: `held_to` compares with the model
     highest = HIGHEST if found["tension_n"] is None else FAR * found["tension_n"]
     safety = Safety(
         unit=unit,
@@ -220,11 +226,10 @@ def _needed_pair(table: TomlTable, key: str, most: float) -> tuple[float, float]
 
 
 def held_to(given: Safety, model: Model) -> Safety:
-    """Return the limits of a file, with the model's allowed tension where the file has none.
+    """Return the limits of a file, with the model's allowed tension if the file has none.
 
     Raises:
-        BundleError: it allows more than FAR times the largest tension that the model itself was
-            simulated with.
+        BundleError: it allows more than FAR times the largest simulated tension of the model.
     """
     if model.channels == 0 or given.unit != "mm":
         return given
@@ -245,11 +250,11 @@ def held_to(given: Safety, model: Model) -> Safety:
 
 
 def derived(model: Model, modulus: float | None = None) -> Safety | None:
-    """Return the limits that follow from a model; None where nothing is commanded.
+    """Return the limits derived from a model; None without commands.
 
     Args:
-        model: its prior, surface and, if it was simulated, the pull of its tendons.
-        modulus: MPa of the simulation, if that is known.
+        model: its prior, surface and, if simulated, the tension of its tendons.
+        modulus: of the simulation, MPa, if known.
     """
     if model.channels == 0:
         return None
@@ -304,25 +309,25 @@ def _assumes(model: Model, tension: float | None, modulus: float | None) -> str:
 
 
 def _inward(side: Floats) -> Floats:
-    """Return numbers of at most six digits, none farther from 0."""
+    """Return numbers rounded towards 0 to at most six digits."""
     scale = 10.0 ** (5.0 - np.floor(np.log10(np.maximum(np.abs(side), 1e-9))))
     return np.asarray(np.trunc(np.round(side * scale, 6)) / scale)
 
 
 def _looks(low: Floats, high: Floats) -> Floats:
-    """Return commands (n, C) all over the window, its corners and sides among them."""
+    """Return commands (n, C) over the full window, including corners and sides."""
     count = len(low)
     steps = int(MOST_LOOKS ** (1.0 / count))
-    steps -= 1 - steps % 2  # the middle is one of them
+    steps -= 1 - steps % 2  # the middle is included
     if steps >= LEAST_LOOKS:
         return np.array(list(product(*(np.linspace(a, b, steps) for a, b in zip(low, high)))))
-    # of many commands some corners and sides
+    # of many commands, only some corners and sides
     ends = np.random.default_rng(0).integers(0, 3, (MOST_LOOKS, count))
     return low + 0.5 * ends * (high - low)
 
 
 def _tension(model: Model, looks: Floats) -> float | None:
-    """Return the largest tension (N) of any tendon; None if the model has no tendon pull."""
+    """Return the largest tension (N) of any tendon; None if the model has no tendon tension."""
     tensions = None if model.arrays is None else model.arrays.prior.tensions()
     if tensions is None:
         return None
@@ -331,7 +336,7 @@ def _tension(model: Model, looks: Floats) -> float | None:
 
 
 def _strain(model: Model, looks: Floats) -> float | None:
-    """Return the largest strain of the surface, None without one."""
+    """Return the largest strain of the surface; None without a surface."""
     if not len(model.triangles):
         return None
     shapes = np.asarray(model.prior.evaluate(looks)).reshape(len(looks), -1, 3)

@@ -2,10 +2,10 @@
 
     u = A (ticks − home) + b  ticks = home + round(A⁻¹ (u − b))  (Data Alignment, the SoftMap paper)
 
-A in command units a tick, b what acts while the servos stand at `home`; home belongs to the
-rig, b goes with it. A calibration is somebody else's file: shapes, finiteness, size and whether A
-has an inverse are checked each time. `converted` is the one place where the ticks of a run become
-commands. Pinned by tests/calibration/test_ticks.py.
+A is in command units per tick; b is the command while the servos are at `home`. home belongs to the
+rig, and b to that home. A calibration is an untrusted file: shapes, finiteness, size and
+invertibility of A are checked each time. Only `converted` turns the ticks of a run into commands.
+Pinned by tests/calibration/test_ticks.py.
 """
 
 from __future__ import annotations
@@ -32,35 +32,39 @@ Floats = NDArray[np.float64]
 
 SCHEMA = "softmap.calibration/1"
 ERRORS = ("command", "shape_mm", "matched_shape_mm")
-TICKS = "ticks"  # the unit of commands that are ticks
+TICKS = "ticks"  # unit of commands in ticks
 LARGEST = 1e7  # ticks, mm: beyond any servo, as for a run
 MOST_SERVOS = 64
-TURN = 4096  # ticks of a turn of the horn
-# of a spool of 2.33 mm: what an emulated robot has whose bundle holds no calibration
+TURN = 4096  # ticks per turn of the horn
+# of a spool of 2.33 mm: for an emulated robot whose bundle holds no calibration
 TICKS_PER_MM = 280.0
-SINGULAR = 1e6  # condition of A from which it has no inverse of use
+SINGULAR = 1e6  # condition number above which A counts as singular
 
 
 def tendon_mm(unit: str) -> float:
-    """Return the mm of tendon that an emulated robot winds by one unit of command.
+    """Return the mm of tendon that an emulated robot winds per unit of command.
 
-    Units other than ticks are mm.
+    Units other than ticks count as mm.
     """
     return 1.0 / TICKS_PER_MM if unit == TICKS else 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """u = A (ticks − home) + b, and how well it is known.
+    """u = A (ticks − home) + b, and its uncertainty.
 
-    `A` (C, C) in `unit` a tick, `b` (C,) in `unit`, `home` (C,) ticks, `sigma_A` and `sigma_b`
-    their standard deviations; `held_out` is `{command, shape_mm, matched_shape_mm}`, the RMS error
-    on blocks that were left out, and what the matches leave of their shapes; `run` the hash of the
-    run it was found from, `frames` and `held` how many frames and held commands; `window` (low,
-    high) ticks about home that a servo may take, None where none is given.
+    Attributes:
+        A, b: (C, C) in `unit` per tick, and (C,) in `unit`.
+        home: (C,) ticks.
+        sigma_A, sigma_b: standard deviations of A and b.
+        held_out: `{command, shape_mm, matched_shape_mm}`: RMS errors on withheld blocks, and the
+            residual of the matches.
+        run: hash of the run that it was fitted to.
+        frames, held: number of frames and of held commands.
+        window: allowed (low, high) ticks of a servo about home; None if not given.
 
     Raises:
-        CalibrationError: a field is none of that.
+        CalibrationError: a field is invalid.
     """
 
     A: Floats
@@ -124,11 +128,9 @@ class Calibration:
         window: tuple[float, float] | None = None,
         unit: str = "mm",
     ) -> Calibration:
-        """Return an exact map that was not measured.
+        """Return an exact map that was not measured: of an emulated robot or a user-described rig.
 
-        It is that of an emulated robot, or of a rig described by its user.
-
-        It has no uncertainty, no error and no frames; `source` stands in place of the run.
+        It has no uncertainty, error or frames; `source` takes the place of the run.
         """
         slope, shift = np.asarray(A, float), np.asarray(b, float)
         none = dict.fromkeys(ERRORS, 0.0)
@@ -148,45 +150,43 @@ class Calibration:
 
     @property
     def condition(self) -> float:
-        """Condition of A: 1 where all servos pull alike and across each other."""
+        """Condition number of A: 1 if all servos pull equally and orthogonally."""
         size = np.linalg.svd(self.A, compute_uv=False)
         return float(size[0] / size[-1]) if size[-1] > 0 else np.inf
 
     def commands(self, ticks: ArrayLike) -> Floats:
-        """Return the commands (n, C) in `unit` of ticks (n, C)."""
+        """Return the commands (n, C) in `unit` for ticks (n, C)."""
         return np.asarray((np.asarray(ticks, float) - self.home) @ self.A.T + self.b)
 
     def ticks(self, commands: ArrayLike) -> NDArray[np.int64]:
-        """Return the ticks (n, C) of commands (n, C), rounded to integers."""
+        """Return the ticks (n, C) for commands (n, C), rounded to integers."""
         away = np.linalg.solve(self.A, (np.asarray(commands, float) - self.b).T).T
         return np.rint(self.home + away).astype(np.int64)
 
     def within(self, command: ArrayLike, low: ArrayLike, high: ArrayLike) -> Floats:
-        """Return the effective `command` (C,) with servos kept within `low`, `high` (C,) ticks."""
+        """Return the effective `command` (C,) with servos limited to `low`, `high` (C,) ticks."""
         away = np.linalg.solve(self.A, np.asarray(command, float) - self.b)
         ticks = np.clip(self.home + away, low, high)
         return np.asarray(self.A @ (ticks - self.home) + self.b)
 
     def turned(self, home: ArrayLike) -> Calibration:
-        """Return the map with its home moved by full turns of the servos.
+        """Return the map with its home moved by full turns, within half a turn of `home` (C,).
 
-        It is then within half a turn of `home` (C,) ticks.
-
-        Servos start to count turns again after their power was off.
+        Servos lose their turn count when their power is off.
         """
         turns = np.rint((np.asarray(home, float) - self.home) / TURN)
         return replace(self, home=self.home + TURN * turns) if turns.any() else self
 
     def holding(self, reach: ArrayLike) -> tuple[float, float]:
-        """Return the window (low, high) of ticks about home for the full range `reach` (C, 2)."""
+        """Return the window (low, high) of ticks about home that contains `reach` (C, 2)."""
         away = self.ticks(list(product(*np.asarray(reach, float)))) - self.home
         return float(away.min()), float(away.max())
 
     def usable(self, reach: ArrayLike) -> Floats:
         """Return `reach` (C, 2) shrunk so that all combinations of commands lie in the window.
 
-        It is shrunk alike to all sides about what acts at home, until its corners are inside;
-        `reach` without a window.
+        It shrinks by one factor towards the command at home until its corners are inside. Without a
+        window it is unchanged.
 
         Raises:
             CalibrationError: home lies outside `reach`.
@@ -201,7 +201,7 @@ class Calibration:
                 "choose another --home"
             )
         back, away = np.linalg.inv(self.A), box - self.b[:, None]
-        # (2, servo, C): ticks that one end of a range asks
+        # (2, servo, C): ticks required by each end of the range
         sides = np.stack([back * away[:, 0], back * away[:, 1]])
         highest, lowest = sides.max(axis=0).sum(axis=1), sides.min(axis=0).sum(axis=1)
         low, high = self.window
@@ -211,7 +211,7 @@ class Calibration:
         return np.asarray(self.b[:, None] + share * away)
 
     def to_dict(self) -> Document:
-        """Return the document softmap.calibration/1, which a bundle keeps as `calibration.json`."""
+        """Return the document softmap.calibration/1, stored in a bundle as `calibration.json`."""
         return {
             "schema": SCHEMA,
             "unit": "ticks",
@@ -233,8 +233,7 @@ class Calibration:
         """Read a document softmap.calibration/1.
 
         Raises:
-            CalibrationError: another schema or unit, or an entry that is missing or not what it has
-                to be.
+            CalibrationError: another schema or unit, or a missing or invalid entry.
         """
         schema = document.get("schema") if isinstance(document, dict) else None
         if not isinstance(document, dict) or schema != SCHEMA:
@@ -286,19 +285,19 @@ class Calibration:
 
 
 def converted(model: Model | None, run: Run) -> Run:
-    """Return the run with its ticks as commands, by the model's calibration.
+    """Return the run with its ticks converted to commands by the model's calibration.
 
-    It is unchanged if ticks or calibration are missing.
+    It is unchanged without ticks or calibration.
 
     Args:
-        model: with a `calibration`; without one, or if None, that of the loop that drove the robot
-            counts, if the run holds it; or in ticks, which it takes as commands.
-        run: `ticks` become `command`, `present_ticks` become `present` unless the run has that; the
+        model: with a `calibration`. Without one, or if None, the calibration of the control loop
+            that recorded the run applies, if stored. A model in ticks takes ticks as commands.
+        run: `ticks` become `command`; `present_ticks` become `present` unless already given. The
             measured points are the same array.
 
     Raises:
-        CalibrationError: the run has another number of servos than the calibration, or its own is
-            none.
+        CalibrationError: the run and the calibration differ in the number of servos, or the run's
+            own calibration is invalid.
     """
     calibration, unit = (None, "mm") if model is None else (model.calibration, model.command_unit)
     if calibration is None and unit == TICKS:
@@ -318,10 +317,7 @@ def converted(model: Model | None, run: Run) -> Run:
 
 
 def _driven_by(run: Run, unit: str) -> Calibration | None:
-    """Return the map by which the robot was driven, if a run in ticks holds it.
-
-    It must give commands in `unit`.
-    """
+    """Return the map that drove the robot, if a run in ticks stores it and it gives `unit`."""
     kept = text_in(run.extra, CALIBRATION)
     if kept is None or (run.ticks is None and run.present_ticks is None):
         return None
@@ -335,7 +331,7 @@ def _driven_by(run: Run, unit: str) -> Calibration | None:
 
 
 def _commanded(run: Run, calibration: Calibration) -> Run:
-    """Return a run with its ticks as commands."""
+    """Return a run with its ticks converted to commands."""
     encoded = run.present_ticks is not None and run.present is None
     drive = Run(
         t=run.t,
@@ -352,17 +348,15 @@ def _commanded(run: Run, calibration: Calibration) -> Run:
 
 
 def from_home(runs: Sequence[Run]) -> tuple[list[Run], Calibration | None]:
-    """Return runs in ticks with commands that count ticks from home.
-
-    They are for a model that is learned and needs no mm.
+    """Return runs in ticks with commands that count ticks from home, for models that need no mm.
 
     Args:
-        runs: of one robot. Home is 0 where their ranges hold it, else the middle of the ranges
+        runs: of one robot. Home is 0 if their ranges hold it, else the middle of the ranges
             (`home_command`).
 
     Returns:
-        tuple: the runs and the map that counts from home; runs of which one is not in ticks as they
-        are, and None.
+        tuple: the runs, and the map that counts from home. If any run is not in ticks: the runs
+        unchanged, and None.
     """
     held = [held_in_ticks(run) for run in runs]
     goals = [run.ticks for run in held if run.ticks is not None]
@@ -380,10 +374,7 @@ def from_home(runs: Sequence[Run]) -> tuple[list[Run], Calibration | None]:
 
 
 def commanded_in_ticks(run: Run) -> Run:
-    """Return a run that holds only ticks with its ticks as commands.
-
-    It is for a model that is learned and needs no mm.
-    """
+    """Return a run that holds only ticks with its ticks as commands, for models that need no mm."""
     if run.command is not None or run.ticks is None:
         return run
     encoded = run.present_ticks is not None and run.present is None
@@ -394,9 +385,9 @@ def commanded_in_ticks(run: Run) -> Run:
 
 
 def held_in_ticks(run: Run) -> Run:
-    """Return a run whose commands are ticks as one that holds `ticks`.
+    """Return a run with commands in ticks as one that holds `ticks`.
 
-    Commands that count from home stay.
+    Commands that count from home are unchanged.
     """
     if run.command is None or run.command_unit != TICKS or HOME_TICKS in run.extra:
         return run
@@ -412,7 +403,7 @@ def held_in_ticks(run: Run) -> Run:
 
 def _driven(run: Run, drive: Run) -> Run:
     """Return a run with the commands of another."""
-    driven = copy(run)  # not `replace`, which would check again what was seen, at every prediction
+    driven = copy(run)  # `replace` would check the measured points again at every prediction
     for name in ("command", "present", "ticks", "present_ticks", "command_unit"):
         object.__setattr__(driven, name, getattr(drive, name))
     return driven

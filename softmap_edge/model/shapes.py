@@ -1,10 +1,11 @@
 """The arrays of a bundle as types, and the shapes, fields and cables compiled from them.
 
-`prior.npz`, `fields.npz` and `residual.npz` are read here once; the names of their arrays stand
-nowhere else. Arrays may be whole numbers of steps (`npz.Stored`). S counts commands, C their
-channels, M = 3N the numbers of N points in mm, m modes, T tendons, L the loads of `_core.LOADS`.
-Units of fields: those of `_core.FIELDS`. Rods have types of their own (`elastic_rod.py`,
-`polynomial_rod.py`). Pinned by tests/model/test_bundle_arrays.py and tests/model/test_bundle.py.
+Only this module reads `prior.npz`, `fields.npz` and `residual.npz` and knows the names of their
+arrays. Arrays may be whole numbers of steps (`npz.Stored`). S is the number of commands, C that of
+channels, M = 3N that of coordinates of N points in mm, m modes, T tendons, L the loads of
+`_core.LOADS`. Units of fields: those of `_core.FIELDS`. Rods have their own types
+(`elastic_rod.py`, `polynomial_rod.py`). Pinned by tests/model/test_bundle_arrays.py and
+tests/model/test_bundle.py.
 """
 
 from __future__ import annotations
@@ -25,11 +26,11 @@ if TYPE_CHECKING:
     from softmap_edge.model.polynomial_rod import RodArrays
 
 Floats = NDArray[np.float64]
-Numbers = NDArray[np.generic]  # of any width, as they are stored
+Numbers = NDArray[np.generic]  # of any width, as stored
 ReadArrays = Mapping[str, NDArray[np.generic]]
 
-_TENSION = "tension_"  # what the field of a tendon is called, before its number
-_FIELD, _STRETCH = "coefficients_", "stretch_"  # what stands before the name of a field
+_TENSION = "tension_"  # prefix of the field of a tendon, before its number
+_FIELD, _STRETCH = "coefficients_", "stretch_"  # prefixes of a field's name
 
 
 # --- over which commands numbers are given ------------------------------------------------------
@@ -37,7 +38,7 @@ _FIELD, _STRETCH = "coefficients_", "stretch_"  # what stands before the name of
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Commands on a grid: ascending `axes` (S_c,), one a channel; the last one is the fastest."""
+    """Commands on a grid: ascending `axes` (S_c,), one per channel; the last one varies fastest."""
 
     axes: tuple[Numbers, ...] = ()
 
@@ -46,12 +47,12 @@ class Grid:
         return _core.Table([_float(axis) for axis in self.axes], coefficients, mean, modes)
 
     def table(self, numbers: Floats) -> _core.Table:
-        """Return the table of numbers (S, n), each its own mode."""
+        """Return the table of numbers (S, n), each as its own mode."""
         width = numbers.shape[1]
         return self.compiled(numbers, np.zeros(width), np.eye(width))
 
     def to_npz(self, before: str = "") -> Arrays:
-        """Return the arrays `axis0…`, their names with `before` in front."""
+        """Return the arrays `axis0…`, their names prefixed by `before`."""
         return {f"{before}axis{c}": axis for c, axis in enumerate(self.axes)}
 
     @classmethod
@@ -65,7 +66,7 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """Scattered commands: `nodes` (n, C), `scale` (C,) of each, power of the kernel (1 or 3)."""
+    """Scattered commands: `nodes` (n, C), `scale` (C,), power of the kernel (1 or 3)."""
 
     nodes: Numbers
     scale: Numbers
@@ -125,7 +126,7 @@ class ModeArrays:
         """Read a shape in modes.
 
         Raises:
-            SoftmapError: an array is missing, or the steps of one do not fit.
+            SoftmapError: an array is missing, or its steps do not match.
         """
         modes, coefficients = (Stored.from_npz(arrays, name) for name in ("modes", "coefficients"))
         return cls(_over(arrays), array_of(arrays, "mean"), modes, coefficients)
@@ -133,7 +134,7 @@ class ModeArrays:
 
 @dataclass(frozen=True, eq=False)
 class NetworkArrays:
-    """A network: the bytes of its ONNX file, and the grid of the numbers that are kept with it."""
+    """A network: the bytes of its ONNX file, and the grid of the numbers stored with it."""
 
     onnx: bytes
     grid: Grid = Grid()
@@ -143,7 +144,7 @@ class NetworkArrays:
         return _core.Network(self.onnx)
 
     def to_npz(self) -> Arrays:
-        """Return the arrays that are kept next to its file."""
+        """Return the arrays stored next to its file."""
         return self.grid.to_npz()
 
 
@@ -152,7 +153,7 @@ class NetworkArrays:
 
 @dataclass(frozen=True, eq=False)
 class TrainedOver:
-    """The model error, `form_error` (V, 3) and of vertices, mm, without a trained prior's."""
+    """The model error without a trained prior: `form_error` (V, 3) mm, and that of vertices, mm."""
 
     form_error: Floats
     vertex_error_mm: float
@@ -190,11 +191,11 @@ class NumbersBefore:
 
 @dataclass(frozen=True, eq=False)
 class PriorArrays:
-    """A prior and what is kept with it in `prior.npz`.
+    """A prior and its companions in `prior.npz`.
 
-    `pull` (S, T) N is the tension of each tendon over the grid of a simulated prior, below zero
-    where it is slack; `coverage` the commands that a rod was learned from; `before` what the model
-    was before its prior was trained, or before an effect changed the numbers of its rod.
+    `pull` (S, T) N is the tension of each tendon over the grid of a simulated prior, negative where
+    slack. `coverage` holds the commands that a rod was learned from. `before` is the model from
+    before its prior was trained, or before an effect changed the numbers of its rod.
     """
 
     shape: ModeArrays | NetworkArrays | RodArrays
@@ -204,20 +205,20 @@ class PriorArrays:
 
     @property
     def grid(self) -> Grid | None:
-        """The grid of a table, or the one kept with a network; None for scattered and rods."""
+        """The grid of a table, or the one of a network; None for scattered families and rods."""
         over = self.shape.over if isinstance(self.shape, ModeArrays) else None
         over = self.shape.grid if isinstance(self.shape, NetworkArrays) else over
         return over if isinstance(over, Grid) else None
 
     def tensions(self) -> _core.Table | None:
-        """Return the tensions (n, T) N over commands; None without tendons or their pull."""
+        """Return the tensions (n, T) N over commands; None without tendons or their tension."""
         if self.grid is None or self.pull is None or self.pull.array.size == 0:
             return None
         return self.grid.table(self.pull.values)
 
     @property
     def in_steps(self) -> bool:
-        """Whether some of its arrays are whole numbers of steps, which schema 3 began with."""
+        """Whether some arrays are whole numbers of steps, as from schema 3 on."""
         stored = [self.pull]
         if isinstance(self.shape, ModeArrays):
             stored += [self.shape.modes, self.shape.coefficients]
@@ -232,7 +233,7 @@ class PriorArrays:
 
     @classmethod
     def from_npz(cls, shape: ModeArrays | NetworkArrays, arrays: ReadArrays) -> PriorArrays:
-        """Read what `prior.npz` has besides a shape that is no rod."""
+        """Read the companions of a shape that is not a rod from `prior.npz`."""
         pull = Stored.from_npz(arrays, "pull") if "pull" in arrays else None
         return cls(shape, pull=pull, before=TrainedOver.from_npz(arrays))
 
@@ -252,13 +253,13 @@ class PairArrays:
     growth: Stored
 
     def rows(self) -> Floats:
-        """Return all numbers of each command (S, n), as `_core.Second` takes them."""
+        """Return all numbers of each command (S, n) in the form of `_core.Second`."""
         growth = self.growth.values
         pairs = np.concatenate([self.weights.values, self.stretch.values], axis=2)
         return np.concatenate([pairs.reshape(len(growth), -1), growth], axis=1)
 
     def to_npz(self, before: str) -> Arrays:
-        """Return the arrays, their names with `before` in front."""
+        """Return the arrays, their names prefixed by `before`."""
         return {
             **self.weights.to_npz(f"{before}weights"),
             **self.stretch.to_npz(f"{before}stretch"),
@@ -276,10 +277,10 @@ class PairArrays:
 
 @dataclass(frozen=True, eq=False)
 class SecondArrays:
-    """What loads and moduli do beyond their fields, over a grid of its own.
+    """The second order of loads and moduli beyond their fields, over its own grid.
 
-    `modes` (m', m) are made of the modes of the fields; `pairs` are those of loads and tensions,
-    `moduli` those with a modulus, which bundles of earlier versions do not have.
+    `modes` (m', m) are combinations of the fields' modes. `pairs` are those of loads and tensions,
+    `moduli` those with a modulus (absent in bundles of earlier versions).
     """
 
     grid: Grid
@@ -306,7 +307,7 @@ class SecondArrays:
 
     @classmethod
     def from_npz(cls, arrays: ReadArrays) -> SecondArrays | None:
-        """Read the arrays `second_…`; None if there are none.
+        """Read the arrays `second_…`; None if absent.
 
         Raises:
             SoftmapError: some are missing.
@@ -324,12 +325,12 @@ class SecondArrays:
 
 @dataclass(frozen=True, eq=False)
 class FieldArrays:
-    """Displacements per unit of a load or a change of design, in `modes` (m, M) that they share.
+    """Displacements per unit of a load or design change, in shared `modes` (m, M).
 
-    `coefficients` by name of a field, `tension_0…` of the tendons among them: (S, m) over a grid,
-    or (n + 1 + C, m) over nodes. Of tendons that answer loads: `stiffness` (T,) N/mm; `stretch`
-    (S, T·(L + T)) mm of each under each load and tension, `stretch_of` (S, T) under other fields,
-    by name. Empty for a rod, which makes its fields itself.
+    `coefficients` by name of a field, including `tension_0…` of the tendons: (S, m) over a grid, or
+    (n + 1 + C, m) over nodes. For tendons that respond to loads: `stiffness` (T,) N/mm; `stretch`
+    (S, T·(L + T)) mm of each under each load and tension; `stretch_of` (S, T) under other fields,
+    by name. Empty for a rod, which computes its own fields.
     """
 
     over: Grid | Nodes = Grid()
@@ -347,7 +348,7 @@ class FieldArrays:
         return {name: self.over.compiled(*self._about_zero(name, modes)) for name in names}
 
     def cables(self, pull: _core.Table | None) -> _core.Cables | None:
-        """Return the compiled cables; None where fields answer loads alone.
+        """Return the compiled cables; None if tendons do not respond to loads.
 
         Args:
             pull: the tensions of the prior (`PriorArrays.tensions`).
@@ -376,7 +377,7 @@ class FieldArrays:
         return self.modes.values
 
     def _about_zero(self, name: str, modes: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return the coefficients of a field, its mean, which is zero, and its modes."""
+        """Return the coefficients of a field, its mean (zero), and its modes."""
         if name not in self.coefficients:
             raise SoftmapError(f"array '{_FIELD}{name}' is missing")
         return self.coefficients[name].values, np.zeros(modes.shape[1]), modes
@@ -384,7 +385,7 @@ class FieldArrays:
     def _full_stretch(self, stored: Floats, tendons: int) -> Floats:
         """Return the stretch (S, T·(F + T)) of every tendon for each field and each tension.
 
-        The fields are those of `_core.FIELDS`; zero where a bundle has none.
+        The fields are those of `_core.FIELDS`; zero for those that a bundle lacks.
         """
         loads, fields = len(_core.LOADS), len(_core.FIELDS)
         given = stored.reshape(len(stored), tendons, loads + tendons)
@@ -411,7 +412,7 @@ class FieldArrays:
         """Read the arrays of `fields.npz`.
 
         Raises:
-            SoftmapError: some arrays are missing, or the steps of one do not fit.
+            SoftmapError: some arrays are missing, or the steps of one do not match.
         """
 
         def group(before: str) -> dict[str, Stored]:
@@ -435,40 +436,40 @@ class FieldArrays:
 
 @dataclass(frozen=True, eq=False)
 class BundleArrays:
-    """What a structure was compiled from, as its bundle keeps it."""
+    """The arrays that a structure was compiled from, as stored in its bundle."""
 
     prior: PriorArrays
     fields: FieldArrays = FieldArrays()
     residual: ModeArrays | NetworkArrays | None = None
 
     def compiled_fields(self) -> Mapping[str, _core.Shape]:
-        """Return the compiled fields by name; a rod makes them itself."""
+        """Return the compiled fields by name; a rod computes its own."""
         shape = self.prior.shape
         if isinstance(shape, ModeArrays | NetworkArrays):
             return self.fields.compiled()
         return shape.fields()
 
     def contents(self) -> dict[str, Arrays]:
-        """Return the arrays of its archives, by their names without `.npz`."""
+        """Return the arrays of its archives, by name without `.npz`."""
         found = {"prior": self.prior.to_npz(), "fields": self.fields.to_npz()}
         return found | ({} if self.residual is None else {"residual": self.residual.to_npz()})
 
     def networks(self) -> dict[str, bytes]:
-        """Return its ONNX files, by their names without `.onnx`."""
+        """Return its ONNX files, by name without `.onnx`."""
         shapes = {"prior": self.prior.shape, "residual": self.residual}
         return {
             name: shape.onnx for name, shape in shapes.items() if isinstance(shape, NetworkArrays)
         }
 
 
-Pairs = tuple[list[tuple[int, int]], list[int]]  # of causes, and the causes whose growth is kept
+Pairs = tuple[list[tuple[int, int]], list[int]]  # of causes, and causes with stored growth
 
 
 def pairs_of(loads: int, moduli: int, tensions: int) -> tuple[Pairs, Pairs]:
-    """Return the pairs of causes as `_core.Second` takes them, and whose growth goes with them.
+    """Return the pairs of causes for `_core.Second`, and the causes whose growth is stored.
 
-    Causes are loads, then moduli, then tensions. The pairs are those among loads and tensions, then
-    those of each modulus with all of these and with moduli from itself on.
+    Causes are loads, then moduli, then tensions. The first pairs are those among loads and
+    tensions, then those of each modulus with all of these and with moduli from itself on.
     """
     plain = [*range(loads), *range(loads + moduli, loads + moduli + tensions)]
     own = list(range(loads, loads + moduli))

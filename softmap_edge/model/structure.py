@@ -1,4 +1,4 @@
-"""The body of a model: its prior and fields, the points they move, and their places along the body.
+"""The body of a model: prior, fields, the points they move, and their positions along the body.
 
     effective command ─prior f(u_eff) + Σ cₖ·Sₖ(u_eff)─> points
 
@@ -49,14 +49,15 @@ class StructureFields(TypedDict, total=False):
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """What moves, and how it moves with commands and loads.
+    """The body and its response to commands and loads.
 
     `prior` maps commands (n, C) to flattened points (n, 3N) mm; `fields` are displacements per 1 g
-    or per 1 N; `rest` (N, 3) mm are the template's vertices or the markers at rest. `body` is how
-    the points lie along a body that does not stand along z or has no mesh. Without
-    `stiffness_known` the fields have a nominal scale: loads that a run declares are not applied,
-    and no fitted load is a weight in grams. `residual` is a learned correction of the prior, of the
-    same commands and points.
+    or per 1 N; `rest` (N, 3) mm are the template's vertices or the markers at rest. `body` gives
+    the points' positions along a body that is not along z or has no mesh. Without `stiffness_known`
+    the fields have a nominal scale: loads declared by a run are not applied, and no fitted load is
+        a
+    weight in grams. `residual` is a learned correction of the prior, with the same commands and
+    points.
     """
 
     prior: Shape
@@ -66,8 +67,8 @@ class Structure:
     tip_indices: NDArray[np.int64]
     gravity_reference: Floats  # (3,), base frame
     command_range: Floats  # (C, 2), in the model's command unit
-    cables: _core.Cables | None = None  # how tendons answer loads; a rod has none
-    second: _core.Second | None = None  # what loads do beyond their fields
+    cables: _core.Cables | None = None  # response of tendons to loads; a rod has none
+    second: _core.Second | None = None  # second order of loads
     body: BodyCoordinates | None = None
     stiffness_known: bool = True
     residual: Shape | None = None
@@ -84,7 +85,7 @@ class Structure:
 
     @cached_property
     def body_coordinates(self) -> BodyCoordinates:
-        """How the points lie along the body."""
+        """The positions of the points along the body."""
         return upright(self.rest) if self.body is None else self.body
 
     @property
@@ -94,7 +95,7 @@ class Structure:
 
     @property
     def arc_length(self) -> Floats:
-        """Place (N,) mm of each point along the body."""
+        """Position (N,) mm of each point along the body."""
         return self.body_coordinates.along
 
     @cached_property
@@ -108,7 +109,7 @@ class Structure:
 
     @property
     def positions(self) -> NDArray[np.bool_]:
-        """Which features (V,) are places; the others are directions."""
+        """Which features (V,) are positions; the others are directions."""
         return self.feature_map.positions
 
     @cached_property
@@ -118,14 +119,14 @@ class Structure:
 
     @cached_property
     def contact(self) -> Contact | None:
-        """Where an obstacle can stop the body; None for markers and without fields of pushes."""
+        """The stations where an obstacle can stop the body; None for markers or no push fields."""
         return stations(self)
 
     @cached_property
     def weight_per_length(self) -> float:
         """The tip weight (g) that would move the tip sideways by the body's length, if linear.
 
-        0 without fields. If the stiffness is not known, it is in the model's own scale of loads.
+        0 without fields. With unknown stiffness it is in the model's own scale of loads.
         """
         sideways = [
             self.fields[name] for name in ("tip_force_x", "tip_force_y") if name in self.fields

@@ -1,9 +1,7 @@
 """The template of a bundle, `template.npz`, checked.
 
-It holds points at rest, triangles, tip, model-form error, body and handles.
-
-Pinned by tests/model/test_bundle.py, tests/geometry/test_handles.py and
-tests/model/test_mutated_files.py.
+It holds points at rest, triangles, tip, model-form error, body and handles. Pinned by
+tests/model/test_bundle.py, tests/geometry/test_handles.py and tests/model/test_mutated_files.py.
 """
 
 from __future__ import annotations
@@ -18,16 +16,16 @@ from softmap_edge.files.npz import Arrays, array_of
 from softmap_edge.geometry.sections import SECTIONS, BodyCoordinates
 from softmap_edge.model.model import Model
 
-MOST_POINTS = {"vertices": 50_000, "markers": 1000}  # a feature map holds a weight for each of them
+MOST_POINTS = {"vertices": 50_000, "markers": 1000}  # points; a feature map holds a weight for each
 
 
 @dataclass(frozen=True, eq=False)
 class Template:
     """The rest shape of a body and its features.
 
-    It has points `rest` (N, 3) mm, `triangles` (F, 3), the indices `tip` and `form_error` mm of
-    each feature; for a body without a mesh the places of its points along it; and `handles` where
-    not all vertices are handles.
+    It has points `rest` (N, 3) mm, `triangles` (F, 3), the indices `tip`, and `form_error` mm per
+    feature; for a body without a mesh the positions of its points along it; and `handles`, if not
+    all vertices are handles.
     """
 
     rest: NDArray[np.float64]
@@ -64,7 +62,7 @@ class Template:
 
     @classmethod
     def from_npz(cls, bundle: str, arrays: Arrays) -> Template:
-        """Read the arrays of `template.npz`, finite numbers; `bundle` is named in errors.
+        """Read the arrays of `template.npz`, finite numbers; errors refer to `bundle`.
 
         Raises:
             SoftmapError: an array is missing, has another shape or type, or points outside the
@@ -94,7 +92,7 @@ class Template:
 
 
 def _handles(bundle: str, stored: NDArray[np.generic], points: int) -> NDArray[np.int64]:
-    """Read which vertices are handles; each one once."""
+    """Read the indices of the handles, each once."""
     handles = np.asarray(stored, np.int64)
     if (
         handles.ndim != 1
@@ -109,7 +107,7 @@ def _handles(bundle: str, stored: NDArray[np.generic], points: int) -> NDArray[n
 
 
 def _body(bundle: str, arrays: Arrays, points: int) -> BodyCoordinates:
-    """Read how the points lie along a body; as many sections as features are made of."""
+    """Read the points' positions along a body, with as many sections as features require."""
     for name in ("section", "along", "angle"):
         if name in arrays and arrays[name].shape != (points,):
             raise BundleError(

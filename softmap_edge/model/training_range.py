@@ -1,8 +1,8 @@
 """Find commands, shapes, loads and points of a run that lie outside the data of its model.
 
-The `made_from` of a trained prior and of a residual holds the commands that taught them (`span`);
-effective commands are compared with it. A learned rod keeps the leverage of its commands
-(`coverage.py`), which covers combinations of channels as well.
+`made_from` of a trained prior and of a residual holds the range of their training commands
+(`span`), with which effective commands are compared. A learned rod stores the leverage of its
+commands (`coverage.py`), which also covers combinations of channels.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ if TYPE_CHECKING:
     from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]
-BEYOND = 0.05  # share of its range by which a command may leave it before a note is given
-UNLIKE = 0.015  # of the robot's length: a shape that is farther from all of its model's is another
+BEYOND = 0.05  # share of its range by which a command may exceed it without a note
+UNLIKE = 0.015  # of the robot's length: a shape this far from all shapes of the model is foreign
 
 
 def command_extrapolation(model: Model, run: Run) -> list[str]:
-    """Return a sentence for each way in which commands leave the range of the model.
+    """Return a sentence for each way in which commands exceed the range of the model.
 
-    There is one for each channel that leaves it, for what was learned over a smaller range, and for
-    loads that the model cannot apply.
+    These are channels out of range, parts learned over a smaller range, and loads that the model
+    cannot apply.
     """
     u, notes = model.commands(run), []
-    # of a trained prior by `training_extrapolation`, once
+    # for a trained prior, `training_extrapolation` reports this once
     noted = _taught(model, "prior") is not None
     if model.coverage is not None:
         notes, noted = _uncovered(model, run), True
@@ -59,7 +59,7 @@ def command_extrapolation(model: Model, run: Run) -> list[str]:
 
 
 def _uncovered(model: Model, run: Run) -> list[str]:
-    """Return a sentence if the effective commands are unlike all that taught a learned model."""
+    """Return a sentence if effective commands are not covered by the training data."""
     coverage, unit = model.coverage, model.command_unit
     if coverage is None or not run.frames:
         return []
@@ -87,10 +87,7 @@ def _uncovered(model: Model, run: Run) -> list[str]:
 
 
 def training_extrapolation(model: Model, run: Run) -> list[str]:
-    """Return sentences where a run goes beyond the training data.
-
-    There is one for the trained prior, and one for the residual.
-    """
+    """Return sentences where a run exceeds the training data of its prior or residual."""
     learned = {"prior": True, "residual": model.residual is not None}
     ranges = {part: _taught(model, part) for part, there in learned.items() if there}
     known = {part: found for part, found in ranges.items() if found is not None}
@@ -116,11 +113,11 @@ def training_extrapolation(model: Model, run: Run) -> list[str]:
 
 
 def shape_mismatch(model: Model, mae: Floats) -> list[str]:
-    """Return a sentence where shapes are like none that the model makes at any command.
+    """Return a sentence where shapes differ from all shapes of the model at any command.
 
     Args:
         mae: (K,) mm, mean absolute error of each frame to the nearest shape
-            (`calibration/matching.py`); NaN: not known.
+            (`calibration/matching.py`); NaN if unknown.
     """
     known, limit = mae[np.isfinite(mae)], UNLIKE * float(np.linalg.norm(model.rest, axis=1).max())
     count = int((known > limit).sum())
@@ -135,17 +132,17 @@ def shape_mismatch(model: Model, mae: Floats) -> list[str]:
 
 
 def span(commands: Floats) -> list[list[float]]:
-    """Return [least, most] of each channel of commands (n, C), for `made_from`.
+    """Return [smallest, largest] of each channel of commands (n, C), for `made_from`.
 
-    It is kept there under `command_range`.
+    They are stored there under `command_range`.
     """
     return [[float(channel.min()), float(channel.max())] for channel in commands.T]
 
 
 def _taught(model: Model, key: str) -> tuple[Floats, Floats] | None:
-    """Return least and most (C,) of the commands in the training data of a part of a model.
+    """Return the smallest and largest training commands (C,) of a part of a model.
 
-    None where its file has none.
+    None if its file has none.
     """
     part: object = model.made_from.get(key)
     try:
@@ -157,7 +154,7 @@ def _taught(model: Model, key: str) -> tuple[Floats, Floats] | None:
 
 
 def check_commands(model: Model, run: Run, u: Floats) -> None:
-    """Raise RunError where a run's commands (T, C) are not of this model's robot."""
+    """Raise RunError if a run's commands (T, C) do not fit this model's robot."""
     if u.shape[1] != model.channels:
         raise RunError(
             f"the run has {u.shape[1]} commands a sample, this model of '{model.robot}' takes "
@@ -185,20 +182,20 @@ def check_commands(model: Model, run: Run, u: Floats) -> None:
 
 
 def out_of_reach(model: Model, run: Run) -> list[str]:
-    """Return a sentence where points of a run are farther from the base than the robot can reach.
+    """Return a sentence if points of a run are farther from the base than the robot can reach.
 
     Args:
         model: the model.
-        run: with K frames seen.
+        run: with K seen frames.
 
     Returns:
-        list: no sentence, or one.
+        list: one sentence, or none.
     """
     if not run.frames:
         return []
     rest, seen = np.asarray(model.rest, float), model.seen_points(run)
     shown = seen if run.visible is None else np.where(run.visible[..., None], seen, np.nan)
-    # of a straight body from its clamp, the origin
+    # of the straight body, from its clamp at the origin
     reach = float(np.linalg.norm(rest, axis=1).max())
     far = np.linalg.norm(shown - rest.mean(axis=0), axis=-1)
     off = float(np.median(far[np.isfinite(far)])) if np.isfinite(far).any() else 0.0

@@ -1,15 +1,14 @@
-"""A user's own effect: a Python file that declares a law of the commands.
-
-It joins the library of this process.
+"""A user-defined effect: a Python file that declares a law of the commands.
 
 The file holds `EFFECT`, the declaration, and `rollout(params (B, P), u (B, T, C) mm, t (T,) s,
-ctx)`, which returns what acts (B, T, C) mm; `template` writes one that runs as it is. Loading it
-executes it, with all rights of the process, so nothing here loads by itself. A bundle carries a
-copy and its hash; its user decides. A name stands for one file: another file of the same name is
-refused until `forget_effect`. The law is called for each record with B = 1, remembers nothing
-between calls and begins in equilibrium with its first sample; that it changes nothing at its null
-values is tried once for each number of channels. It has no step, so no control loop takes it.
-Pinned by tests/model/test_own_effect.py and tests/model/test_own_effect_bundles.py.
+ctx)`, which returns the effective commands (B, T, C) mm. `template` writes a working example.
+Loading executes the file with all rights of the process, so nothing here loads one unasked. The
+effect joins the library of this process. A bundle carries a copy and its hash; its user decides. A
+name stands for one file: another file of the same name is rejected until `forget_effect`. The law
+is called for each record with B = 1, keeps no state between calls, and starts in equilibrium with
+its first sample. For each number of channels one test checks that it changes nothing at its null
+values. It has no step function, so control loops reject it. Pinned by
+tests/model/test_own_effect.py and tests/model/test_own_effect_bundles.py.
 """
 
 from __future__ import annotations
@@ -39,9 +38,9 @@ from softmap_edge.model.manifest import EFFECT_NAME, MAX_EFFECT_BYTES
 Floats = NDArray[np.float64]
 
 STAGES = ("command", "transmission", "material")
-FIELDS = ("gravity", "load", "temperature")  # what a law may need of a run besides its commands
+FIELDS = ("gravity", "load", "temperature")  # fields of a run that a law may need besides commands
 LONGEST = 1000  # characters of a text
-NULL_MM = 1e-9  # by which a law may change a command of 1 mm at its null values: round-off
+NULL_MM = 1e-9  # allowed change of a 1 mm command at null values: round-off
 
 _TEXTS = ("stage", "formula", "doc", "signature")
 _OPTIONAL = {
@@ -58,8 +57,8 @@ _SWITCHES = {"per_channel": False, "shared": False, "integer": False}
 class Context:
     """The conditions of a record.
 
-    They are dt (T,) s since the sample before, gravity (T, 3) unit vectors in the base frame, load
-    (T,) g and temperature (T,) °C (NaN where the run has none).
+    They are dt (T,) s since the previous sample, gravity (T, 3) unit vectors in the base frame,
+    load (T,) g and temperature (T,) °C (NaN where the run has none).
     """
 
     dt: Floats
@@ -70,7 +69,7 @@ class Context:
 
 @dataclass(frozen=True)
 class OwnEffect:
-    """A loaded effect: its name, the file that it came from, the file's text and its hash."""
+    """A loaded effect: its name, source file, text and hash."""
 
     name: str
     file: Path
@@ -79,21 +78,21 @@ class OwnEffect:
 
 
 _LOADED: dict[str, OwnEffect] = {}
-_RUNNING: set[int] = set()  # threads in which a law runs now
+_RUNNING: set[int] = set()  # threads that are running a law
 
 
 def load_effect(path: str | Path, sha256: str | None = None) -> OwnEffect:
-    """Execute the file at `path`, noted on stderr, and add its effect to those of this process.
+    """Execute the file at `path` (reported on stderr) and add its effect to those of this process.
 
     Args:
-        path: the Python file; the very file loaded before is not executed again.
-        sha256: the hash that it must have, where somebody has vouched for it.
+        path: the Python file; a file that is already loaded is not executed again.
+        sha256: the required hash, if the file has been confirmed.
 
     Returns:
         OwnEffect: its name, file, source and hash.
 
     Raises:
-        EffectError: no readable file, another hash, code that fails, a wrong declaration, a name
+        EffectError: an unreadable file, another hash, failing code, a wrong declaration, or a name
             that is taken.
     """
     file = Path(path)
@@ -128,7 +127,7 @@ def load_effect(path: str | Path, sha256: str | None = None) -> OwnEffect:
 
 
 def forget_effect(name: str) -> None:
-    """Take an own effect out of the library; models that have it can then be asked no more.
+    """Remove a user-defined effect from the library; models with it can no longer be evaluated.
 
     Raises:
         SoftmapError: no such effect was loaded.
@@ -138,22 +137,22 @@ def forget_effect(name: str) -> None:
 
 
 def loaded() -> Mapping[str, OwnEffect]:
-    """Return the own effects of this process by name."""
+    """Return the user-defined effects of this process by name."""
     return dict(_LOADED)
 
 
 def hashes(names: Sequence[str]) -> dict[str, str]:
-    """Return the sha256 of the files of those of the effects `names` that are own ones."""
+    """Return the SHA-256 of the files of the user-defined effects among `names`."""
     return {name: _LOADED[name].sha256 for name in names if name in _LOADED}
 
 
 def check_hashes(names: Sequence[str], fitted: object) -> None:
-    """Reject numbers that were fitted with other files of effects than are loaded.
+    """Reject numbers that were fitted with other effect files than those loaded.
 
-    `hashes` are those of a document.
+    `fitted` holds the hashes of a document.
 
     Raises:
-        EffectError: a file is not loaded, or another one.
+        EffectError: a file is not loaded, or differs.
     """
     for name, digest in (fitted if isinstance(fitted, dict) else {}).items():
         known = _LOADED.get(name)
@@ -170,10 +169,10 @@ def check_hashes(names: Sequence[str], fitted: object) -> None:
 
 
 def template(name: str) -> str:
-    """Return a file of the effect `name` that runs as it is.
+    """Return the text of a working effect file with this name.
 
     Raises:
-        EffectError: the name is taken, or no name.
+        EffectError: the name is taken or invalid.
     """
     _check_name("effects new", name)
     if name in registry():
@@ -224,9 +223,9 @@ def _read(file: Path) -> bytes:
 def _execute(file: Path, source: bytes) -> ModuleType:
     module = ModuleType(f"softmap_own_{file.stem}")
     module.__file__ = str(file)
-    # what it prints is no part of a document
+    # its output must not enter a document
     module.__dict__["print"] = functools.partial(print, file=sys.stderr)
-    sys.modules[module.__name__] = module  # dataclasses look their module up
+    sys.modules[module.__name__] = module  # dataclasses look up their module
     try:
         with contextlib.redirect_stdout(sys.stderr):
             exec(compile(source, str(file), "exec"), module.__dict__)
@@ -239,7 +238,7 @@ def _execute(file: Path, source: bytes) -> ModuleType:
 
 
 def _declaration(where: str, given: object) -> Document:
-    """Return the declaration of a file, complete and of the right types."""
+    """Return the declaration of a file, complete and with correct types."""
     if not isinstance(given, dict):
         raise EffectError(
             f"{where}: EFFECT is missing or no table; `softmap model effects new NAME` writes the "
@@ -295,7 +294,7 @@ def _parameter(where: str, given: object) -> Document:
             raise EffectError(
                 f"{where}: {label}: {key} is {found[key]!r:.40}, expected True or False"
             )
-    found["per_channel"] |= found["shared"]  # one number for each channel, shared or not in a fit
+    found["per_channel"] |= found["shared"]  # one number per channel, shared in a fit or not
     for key in _NUMBERS:
         value = found[key]
         if (
@@ -360,10 +359,7 @@ def _pair(where: str, value: object) -> tuple[object, float]:
 
 
 class _Law:
-    """Call a user's `rollout` for one record.
-
-    Report in one line where it fails or returns something else.
-    """
+    """Call a user's `rollout` for one record, and report failures and wrong results in one line."""
 
     def __init__(self, declaration: Document, file: Path, rollout: Callable[..., object]) -> None:
         self._declaration, self._file, self._rollout = declaration, file, rollout
@@ -408,7 +404,7 @@ class _Law:
         me = threading.get_ident()
         _RUNNING.add(me)
         try:
-            # what is not finite is reported below, with its parameters
+            # non-finite results are reported below, with their parameters
             with np.errstate(all="ignore"):
                 given = self._rollout(params[None], u[None], t, context)
         except BaseException as fault:
@@ -441,7 +437,7 @@ class _Law:
 
 
 def interrupt() -> None:
-    """Raise KeyboardInterrupt in the threads in which laws run, which see no signal themselves."""
+    """Raise KeyboardInterrupt in threads that run laws, because they receive no signals."""
     for thread in list(_RUNNING):
         _RUNNING.discard(thread)
         ctypes.pythonapi.PyThreadState_SetAsyncExc(
@@ -450,7 +446,7 @@ def interrupt() -> None:
 
 
 def _line(fault: BaseException, file: Path) -> str:
-    """Return the line of the user's file in which it failed, as words."""
+    """Return a text with the line of the user's file that failed."""
     if isinstance(fault, SyntaxError):
         return f", line {fault.lineno}," if fault.lineno else ""
     lines = [

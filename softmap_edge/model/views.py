@@ -1,9 +1,9 @@
-"""How a run's points are seen by a model: as its features, or as markers attached to its template.
+"""A model's view of a run's points: as its features, or as markers attached to its template.
 
 A run of vertices or of the model's own markers gives the model's features; markers on a template
-are features of their own. Vertices laid onto clouds (`run register`) have `roll_seen = false`: what
-a round finger does about its own axis is not in them, so of its features the places of sections
-count and the directions do not. Units: mm. Pinned by tests/geometry/test_markers.py and
+are features of their own. Vertices fitted to clouds (`run register`) have `roll_seen = false`: they
+do not show rotation of a round finger about its own axis. So only the positions of sections count,
+not the directions. Units: mm. Pinned by tests/geometry/test_markers.py and
 tests/diagnosis/test_clouds_diagnosis.py.
 """
 
@@ -35,10 +35,10 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What stands between a model and the features of a run.
+    """The maps between a model and the features of a run.
 
-    `carry` (M, N) carries markers on the template, None where points are the model's own; `mapping`
-    makes features of the run's points; `rows` are those among the model's own features; `predictor`
+    `carry` (M, N) gives markers on the template, None if points are the model's own. `mapping`
+    gives features of the run's points, `rows` their indices among the model's features. `predictor`
     gives the features.
     """
 
@@ -49,10 +49,10 @@ class View:
 
 
 def key_of(model: Model, run: Run) -> tuple[bytes, bool]:
-    """Return a key that distinguishes the views of a model on different runs.
+    """Return a key that distinguishes a model's views of different runs.
 
     Raises:
-        RunError: the run does not give the places of its markers on the template.
+        RunError: the run does not give its markers' positions on the template.
     """
     if model.markers or run.markers is None:
         return b"", roll_seen(model, run)
@@ -66,7 +66,7 @@ def key_of(model: Model, run: Run) -> tuple[bytes, bool]:
 
 
 def view_of(model: Model, run: Run) -> View:
-    """Return how a model sees a run; made once for each `key_of`."""
+    """Return a model's view of a run, made once for each `key_of`."""
     if not model.markers and run.markers is not None:
         carry = attach(np.asarray(run.marker_rest, float), model.rest, run.marker_names)
         all_rows = FeatureMap(carry, np.ones(len(carry), bool), np.arange(len(carry)))
@@ -84,23 +84,17 @@ def view_of(model: Model, run: Run) -> View:
 
 
 def laid(run: Run) -> bool:
-    """Return whether a run's vertices were fitted to clouds.
-
-    Those do not show the roll of a round finger.
-    """
+    """Return whether a run's vertices were fitted to clouds, which do not show roll."""
     return run.vertices is not None and not bool(np.all(run.extra.get(ROLL_SEEN, True)))
 
 
 def roll_seen(model: Model, run: Run) -> bool:
-    """Return whether a run shows the roll of the body about its own axis.
-
-    True also if the model has no features of roll.
-    """
+    """Return whether a run shows the body's roll about its own axis, or the model has no roll."""
     return not laid(run) or bool(model.structure.positions.all())
 
 
 def seen_features(model: Model, run: Run) -> Floats:
-    """Return the measured features (K, V, 3) mm; NaN where too little was seen."""
+    """Return the measured features (K, V, 3) mm; NaN where too few points were seen."""
     seen, visible, view = points_in_mm(model, run), run.visible, model.view(run)
     if visible is None or bool(np.all(visible)):
         return view.mapping(seen)
@@ -111,7 +105,7 @@ def seen_features(model: Model, run: Run) -> Floats:
 
 
 def seen_points(model: Model, run: Run) -> Floats:
-    """Return a run's points (K, N, 3) mm after checking that they are points of this robot."""
+    """Return a run's points (K, N, 3) mm after checking that they belong to this robot."""
     seen, carry = run.seen_points, model.view(run).carry
     count = len(model.rest) if carry is None else seen.shape[1]
     if seen.shape[1] != count:
@@ -123,10 +117,10 @@ def seen_points(model: Model, run: Run) -> Floats:
 
 
 def in_scale_of(model: Model, run: Run, seen: Floats) -> Floats:
-    """Return the markers of a run of outputs in the scale of the model's own; places are unchanged.
+    """Return the markers of a run of outputs in the model's own scale; positions are unchanged.
 
     Raises:
-        RunError: one of the two is of outputs and the other is not, or they are of other outputs.
+        RunError: only one of the two has outputs, or their outputs differ.
     """
     ours, theirs = model.output, run.output
     if ours is None and theirs is None:
@@ -143,9 +137,9 @@ def in_scale_of(model: Model, run: Run, seen: Floats) -> Floats:
 
 
 def points_in_mm(model: Model, run: Run) -> Floats:
-    """Return the same after checking that the points are as large as the robot.
+    """Return the run's points after checking that their size fits the robot.
 
-    Otherwise an effect would stand for a wrong unit.
+    A wrong unit would otherwise be explained by an effect.
     """
     seen = seen_points(model, run)
     rest = model.rest if model.view(run).carry is None else np.asarray(run.marker_rest, float)
@@ -160,7 +154,7 @@ def points_in_mm(model: Model, run: Run) -> Floats:
 
 
 def form_error(model: Model, run: Run) -> Floats:
-    """Return the model error, held out, (V, 3) mm for a run's features in its orientations."""
+    """Return the held-out model error (V, 3) mm of a run's features in its orientations."""
     view = model.view(run)
     error = model.form_error[view.rows]
     if view.carry is not None:
@@ -169,12 +163,10 @@ def form_error(model: Model, run: Run) -> Floats:
 
 
 def leaning(model: Model, run: Run) -> Floats:
-    """Return (K, 4) of each seen frame: 1, and the error for leaning along x, y, z.
+    """Return (K, 4) for each seen frame: 1, and the relative error for a lean along x, y, z.
 
-    The latter are relative to the error in the reference orientation.
-
-    What a model errs for a lean is another number in another orientation, though the command be the
-    same.
+    The latter are relative to the error in the reference orientation. The error of a lean differs
+    between orientations, even for the same command.
     """
     rows = np.zeros((len(run.t_seen), 4))
     rows[:, 0] = 1.0
@@ -186,17 +178,18 @@ def leaning(model: Model, run: Run) -> Floats:
 
 
 def members(section: NDArray[np.int64]) -> Floats:
-    """Return which points lie in which section, (N, S) of ones and zeros."""
+    """Return the membership of points in sections, (N, S) of ones and zeros."""
     return np.asarray((section[:, None] == np.unique(section)).astype(float))
 
 
 def without_roll(member: Floats, moved: Floats, points: Floats, weight: Floats) -> Floats:
-    """Return displacements without the best-fitting turn of each section about the body's axis.
+    """Return displacements without each section's best-fitting rotation about the body's axis.
 
     Args:
         member: (N, S) of `members`, two sections or more.
         moved: (K, N, 3, m) mm, m displacements of each point.
-        points: (K, N, 3) mm, where they are. weight: (K, N) of each in the least squares.
+        points: positions (K, N, 3) mm.
+        weight: least-squares weight of each, (K, N).
     """
     centre = np.einsum("ns,knx->ksx", member / member.sum(axis=0), points)
     along = np.gradient(centre, axis=1)

@@ -1,1 +1,1 @@
-"""Runs: what a robot was commanded and what was seen of it."""
+"""Runs: the commands of a robot and what was measured of it."""

@@ -1,7 +1,7 @@
-"""Labels of a joined run's blocks: a new one at each gap or change of orientation or temperature.
+"""Label the blocks of a joined run: a new one at each gap or change of orientation or temperature.
 
-A label is `2:slow`: the run, and its own label, if it has labels. `2:slow/3` is the third part of
-it, since a gap, a turn or a change of temperature lies between.
+A label such as `2:slow` is the number of the run and its own label, if any. `2:slow/3` is the
+third part of it, after a gap, a turn or a change of temperature.
 """
 
 from __future__ import annotations
@@ -20,10 +20,11 @@ MANY_STEPS = 10.0  # usual steps between frames: a longer one is a gap
 
 
 def joined_blocks(runs: Sequence[Run], follows: Sequence[bool]) -> NDArray[np.generic] | None:
-    """Return the labels (K,) of runs that are joined; None if they are one unlabelled recording.
+    """Return the labels (K,) of joined runs; None if they are one unlabelled recording.
 
     Args:
-        runs: in order. follows: whether each run continues the one before it without a gap.
+        runs: in order.
+        follows: whether each run continues the previous one without a gap.
     """
     group = np.cumsum([not one for one in follows])
     if group[-1] == group[0]:
@@ -38,7 +39,7 @@ def joined_blocks(runs: Sequence[Run], follows: Sequence[bool]) -> NDArray[np.ge
 
 
 def borders(run: Run) -> NDArray[np.bool_]:
-    """Return at which frames (K,) a new block begins.
+    """Return the frames (K,) at which a new block begins.
 
     It begins after a gap, or with another orientation or temperature.
     """
@@ -58,7 +59,7 @@ def borders(run: Run) -> NDArray[np.bool_]:
 def _changes(
     values: Floats, apart: Callable[[Floats, Floats], NDArray[np.bool_]]
 ) -> NDArray[np.bool_]:
-    """Return where values (K, …) have moved away from those at the last change."""
+    """Return where values (K, …) differ from those at the last change."""
     found, begin = np.zeros(len(values), bool), 0
     while begin < len(values):
         far = np.flatnonzero(apart(values[begin], values[begin:]))
@@ -70,7 +71,7 @@ def _changes(
 
 
 def _own(runs: Sequence[Run]) -> NDArray[np.generic] | None:
-    """Return the labels of runs that are one recording; None where no run has any."""
+    """Return the labels of runs that are one recording; None if no run has labels."""
     if all(run.block is None for run in runs):
         return None
     blocks = [np.full(run.frames, "") if run.block is None else run.block for run in runs]

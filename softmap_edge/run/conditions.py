@@ -1,12 +1,12 @@
-"""Conditions of a run at each seen frame (speed, direction, dwell, history, ...), and their cells.
+"""Compute conditions of each seen frame (speed, direction, dwell, history, ...) and their cells.
 
     v(t)  = [u(t) - u(t - w)] / w  w = 3 median sample periods, 0.1 to 0.5 s  mm/s, (C,)
     speed = |v|;  moving where speed > 0.5 % of the largest command span per second
     dwell = time since the last motion, 0 while moving; history = largest |command| so far, this
         frame included
 
-Units: mm, s, degree Celsius. Known limit: a motion slower than 0.5 % of the span per second counts
-as standing still, and the start of a dwell is known to one sample. Pinned by
+Units: mm, s, degree Celsius. Known limit: motion slower than 0.5 % of the span per second counts
+as rest, and the start of a dwell is accurate to one sample. Pinned by
 tests/comparison/test_compare.py.
 """
 
@@ -24,28 +24,28 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# velocity window: median periods; s; s
+# velocity window: median periods; shortest and longest, s
 WINDOW_SAMPLES, WINDOW_SHORTEST, WINDOW_LONGEST = 3.0, 0.1, 0.5
-STILL = 0.005  # of the largest command span, per second: slower than this is not a motion
+STILL = 0.005  # of the largest command span, per second: slower is rest
 NEAR = np.cos(np.radians(20.0))  # orientations within 20 degrees count as one
-WARMING = 3.0  # °C of a change of temperature that counts
-# change of the unit gravity vector between frames, about a degree: another orientation
+WARMING = 3.0  # °C, change of temperature that counts
+# change of the unit gravity vector between frames (about 1°): another orientation
 TURNED = 0.02
-ALIKE = 0.02  # of the largest: commands nearer to one another than this are one size
-HOME = 0.1  # of the largest |command|: closer to zero than this is "home"
-DWELL_EDGES = (0.0, 0.5, 2.0, 5.0, 10.0, 30.0)  # s, from the moment when the command stopped
-FINE_CHANNELS = 3  # up to here a command's cells are thirds of its range, beyond only its sign
+ALIKE = 0.02  # of the largest: commands that differ by less are one size
+HOME = 0.1  # of the largest |command|: closer to zero is "home"
+DWELL_EDGES = (0.0, 0.5, 2.0, 5.0, 10.0, 30.0)  # s since the command stopped
+FINE_CHANNELS = 3  # with more channels, cells of a command are its sign, not thirds of its range
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """The state of the commands at K seen frames of a run with C channels."""
+    """The conditions at K seen frames of a run with C channels."""
 
     command: Floats  # (K, C) mm
     velocity: Floats  # (K, C) mm/s
     speed: Floats  # (K,) mm/s
     moving: Mask  # (K,)
-    # (K,) which uninterrupted dwell in one orientation the frame belongs to; -1 while moving
+    # (K,) number of the frame's dwell, uninterrupted and in one orientation; -1 while moving
     visit: NDArray[np.int64]
     dwell: Floats  # (K,) s
     history: Floats  # (K,) mm
@@ -56,7 +56,7 @@ class Conditions:
 
 @dataclass(frozen=True)
 class Cell:
-    """A class of frames: its name, its bounds if any, and which of the K frames are in it."""
+    """A class of frames: its name, its bounds if any, and which of the K frames belong to it."""
 
     label: str
     low: float | None
@@ -66,7 +66,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Bin:
-    """A class of a condition: its name, bounds (or None), count of frames, RMS error in mm."""
+    """A class of a condition: its name, bounds (or None), number of frames, RMS error in mm."""
 
     label: str
     low: float | None
@@ -76,12 +76,12 @@ class Bin:
 
 
 def conditions(run: Run, command: Floats) -> Conditions:
-    """Work out what the commands of a run were doing at its seen frames.
+    """Compute the conditions of a run at its seen frames.
 
     Args:
         run: a run with `t` (T,) s, `t_seen` (K,) s and perhaps `gravity` and `temperature`; K = 0
             is valid.
-        command: (T, C) mm as the model takes them (goals or present positions); C = 0 is valid.
+        command: (T, C) mm as the model takes them (goal or present position); C = 0 is valid.
 
     Returns:
         Conditions: one entry per seen frame.
@@ -100,14 +100,14 @@ def conditions(run: Run, command: Floats) -> Conditions:
 
     grid_moving = np.linalg.norm(velocity(t), axis=1) > threshold  # (T,)
     index = np.clip(np.searchsorted(t, seen, side="right") - 1, 0, len(t) - 1)
-    # (K,) -1: not moved yet
+    # (K,) -1: no motion yet
     last = np.maximum.accumulate(np.where(grid_moving, np.arange(len(t)), -1))[index]
     v = velocity(seen)
     speed = np.linalg.norm(v, axis=1)
     moving = speed > threshold
     gravity = _at_seen(run.gravity, t, seen, 3)
     visit = last + 1
-    # a robot that is turned while it stands still is not seen twice alike
+    # a rotation of the robot at rest ends the dwell
     if gravity is not None and len(seen):
         turned = np.r_[False, np.linalg.norm(np.diff(gravity, axis=0), axis=1) > TURNED]
         visit = visit + (len(t) + 1) * np.cumsum(turned)
@@ -127,10 +127,11 @@ def conditions(run: Run, command: Floats) -> Conditions:
 
 
 def cells(state: Conditions, unit: str = "mm") -> dict[str, list[Cell]]:
-    """Sort the frames into classes, one list per condition; a class without frames is left out.
+    """Sort the frames into classes, one list per condition; empty classes are omitted.
 
     Args:
-        state: the conditions of K frames. unit: of the commands, for the labels.
+        state: the conditions of K frames.
+        unit: of the commands, for the labels.
 
     Returns:
         dict: direction, speed, dwell, history, command, time; orientation and temperature where the
@@ -171,14 +172,14 @@ def _uncommanded(run: Run, t: Floats, seen: Floats) -> Conditions:
 
 
 def _sample(at: Floats, t: Floats, values: Floats) -> Floats:
-    """Interpolate (T, C) columns at times `at`; outside the record the border value holds."""
+    """Interpolate (T, C) columns at times `at`; hold the border value outside the record."""
     return np.stack([np.interp(at, t, column) for column in values.T], axis=1)
 
 
 def _at_seen(raw: Floats | None, t: Floats, seen: Floats, width: int) -> Floats | None:
     """Return a declared field at the seen frames.
 
-    (K, 3) for a vector, (K,) (mean over channels) for a number.
+    A vector gives (K, 3), a number (K,), its mean over channels.
     """
     if raw is None:
         return None
@@ -192,9 +193,9 @@ def _at_seen(raw: Floats | None, t: Floats, seen: Floats, width: int) -> Floats 
 
 
 def _edges(values: Floats, count: int) -> Floats:
-    """Bounds of up to `count` classes of about equal size.
+    """Return the bounds of up to `count` classes of about equal size.
 
-    Classes narrower than a tenth of the largest value join.
+    Classes narrower than a tenth of the largest value are merged.
     """
     if len(values) == 0:
         return np.zeros(0)
@@ -209,21 +210,21 @@ def _edges(values: Floats, count: int) -> Floats:
 
 
 def _steps(values: Floats, count: int) -> Floats:
-    """Bounds of `count` equally wide classes from the smallest to the largest value."""
+    """Return the bounds of `count` equally wide classes from the smallest to the largest value."""
     if len(values) == 0:
         return np.zeros(0)
     return np.unique(np.linspace(float(np.min(values)), float(np.max(values)), count + 1))
 
 
 def _sizes(values: Floats, count: int) -> Floats:
-    """Bounds as those of `_steps`; one class where the values differ by a servo's ticks only."""
+    """Return the bounds of `_steps`; one class if the values differ only by servo ticks."""
     largest = float(np.max(values, initial=0.0))
     alike = len(values) > 0 and float(np.ptp(values)) <= ALIKE * largest
     return np.array([float(f"{largest:.3g}")]) if alike else _steps(values, count)
 
 
 def _labels(edges: Floats) -> list[str]:
-    """Bounds as texts of three digits, or of as many as it takes to distinguish them."""
+    """Return bounds as texts with three digits, or as many as needed to distinguish them."""
     kinds = len(np.unique(edges))
     return next(
         labels
@@ -281,7 +282,7 @@ def _directions(state: Conditions) -> list[Cell]:
 
 
 def _commands(state: Conditions, unit: str) -> list[Cell]:
-    """Cells of the largest channel: home, then its signed range in thirds.
+    """Return the cells of the largest channel: home, then its signed range in thirds.
 
     With more than three channels only its sign counts.
     """
@@ -311,7 +312,7 @@ def _commands(state: Conditions, unit: str) -> list[Cell]:
 
 
 def _orientations(gravity: Floats) -> list[Cell]:
-    """Classes of nearly equal gravity directions (equal to a quarter), named by the vector."""
+    """Return classes of nearly equal gravity directions (to a quarter), named by the vector."""
     rounded = np.round(gravity * 4.0) / 4.0 + 0.0
     kinds, which = np.unique(rounded, axis=0, return_inverse=True)
     which = which.reshape(-1)
@@ -327,7 +328,7 @@ def _direction_name(g: Floats) -> str:
 
 
 def orientations(gravity: Floats | None) -> int:
-    """Return how many orientations (T, 3) or (3,) differ by more than 20 degrees.
+    """Return the number of orientations, (T, 3) or (3,), that differ by more than 20 degrees.
 
     It is 1 if none is declared.
     """

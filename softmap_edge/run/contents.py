@@ -10,16 +10,16 @@ from softmap_edge.run.pieces import spans
 from softmap_edge.run.run import OURS, Run
 
 DECLARED = {"temperature": "°C", "load": "g"}
-MOST = 12  # blocks or pieces that a text lists
+MOST = 12  # blocks or pieces that a text lists at most
 
 
 def contents(run: Run) -> Document:
     """Return the contents of a run, with units in the keys.
 
     Returns:
-        dict: `blocks` is a list of `{label, frames, from_s, to_s}` in order of appearance, `origin`
-        a list of `{recording, rows, frames, from_s, to_s, at_s}`: the hash of each recording, the
-        span of its clock, and the time in this run at which it begins.
+        dict: `blocks` is a list of `{label, frames, from_s, to_s}` in order of appearance. `origin`
+        is a list of `{recording, rows, frames, from_s, to_s, at_s}`: hash and time span of each
+        recording on its own clock, and its start time in this run.
     """
     return {
         "robot": run.robot,
@@ -76,7 +76,7 @@ def _blocks(run: Run) -> list[Document]:
 
 
 def _origin(run: Run) -> list[Document]:
-    """Return the pieces of recordings in the run."""
+    """Return the pieces of recordings that form the run."""
     found = spans(run)
     ends = [(part.row, part.frame) for part, _, _ in found[1:]] + [(len(run.t), run.frames)]
     return [
@@ -93,18 +93,18 @@ def _origin(run: Run) -> list[Document]:
 
 
 def command_ranges(run: Run) -> list[list[float]]:
-    """Return each channel's lowest and highest command, or ticks; [] of a run without commands."""
+    """Return each channel's lowest and highest command or ticks; [] of a run without commands."""
     rows = run.command if run.command is not None else run.ticks
     return [] if rows is None else [[rounded(c.min()), rounded(c.max())] for c in rows.T]
 
 
 def rounded(value: float) -> float:
-    """Return a number with six digits, as documents hold it."""
+    """Return a number rounded to six digits, as documents store it."""
     return float(f"{float(value):.6g}")
 
 
 def lines(document: Document) -> list[str]:
-    """Return the contents for a terminal."""
+    """Return the contents as lines for a terminal."""
     d, unit = document, document["command_unit"]
     over = "without time" if d["timeless"] else f"from {d['from_s']:g} to {d['to_s']:g} s"
     found = [

@@ -1,9 +1,9 @@
-"""Cut a piece out of a run: a span of time or a block, with its recording's hash and times.
+"""Cut a piece out of a run: a time span or a block, with its recording's hash and times.
 
-A piece keeps the frames of its span, and the rows from the last one before it (whose command still
-holds) to the first one after its last frame (commands are linear between rows). Prediction begins
-in equilibrium at the first row, so the memory of earlier commands is lost; `lead_s` keeps the rows
-of that many seconds before the first frame. Pinned by tests/run/test_run_parts.py.
+A piece keeps the frames of its span. It also keeps the rows from the last one before them (whose
+command still holds) to the first one after them (commands are linear between rows). Prediction
+starts in equilibrium at the first row, so the memory of earlier commands is lost. `lead_s` keeps
+the rows of that many seconds before the first frame. Pinned by tests/run/test_run_parts.py.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ def cut(
 
     Args:
         run: with T rows and K frames.
-        start, end: s; frames with start <= time < end. None stands for the begin or end of the run.
-        block: a label, in place of a time. If its frames lie in several places of the run, these
-            are joined.
-        lead_s: s of commands that are kept before the first frame, so that memory is still right.
+        start, end: s; frames with start <= time < end. None: the beginning or end of the run.
+        block: a label, in place of times. If its frames are in several places of the run, these are
+            joined.
+        lead_s: s of commands kept before the first frame, to preserve memory.
 
     Raises:
         RunError: the piece is empty, there is no such block, or `start` is not before `end`.
@@ -55,7 +55,7 @@ def cut(
 
 
 def _span(run: Run, start: float, end: float, lead_s: float) -> Run:
-    """Return the piece of a span of time."""
+    """Return the piece of a time span."""
     if start > run.t[-1] and end > start:
         raise RunError(
             f"cut: the run ends at {run.t[-1]:g} s, before --from {start:g}; give a begin within "
@@ -95,7 +95,7 @@ def _places(run: Run, label: str) -> list[slice]:
 def _part(
     run: Run, frames: slice, lead_s: float, start: float = np.inf, end: float = -np.inf
 ) -> Run:
-    """Return some frames of a run, with their rows and those of the span from `start` to `end`."""
+    """Return some frames of a run, with their rows and those from `start` to `end`."""
     t, seen = run.t, run.t_seen[frames]
     begins = min(start, float(seen[0]) if len(seen) else np.inf)
     ends = float(seen[-1]) if len(seen) else -np.inf
@@ -112,7 +112,7 @@ def _part(
 
 
 def _along(run: Run, rows: slice, frames: slice) -> list[tuple[str, NDArray[np.generic], slice]]:
-    """Return the unknown fields that have an entry for each row or each frame, and their part."""
+    """Return unknown fields with an entry per row or per frame, and the part of each to keep."""
     unknown = [
         (name, array) for name, array in run.extra.items() if name not in OURS and array.ndim
     ]

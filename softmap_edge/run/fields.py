@@ -1,8 +1,7 @@
-"""What each field of a run must be: type, axes, range, and the one sentence that reports a fault.
+"""Define each field of a run (type, axes, range) and the one sentence that reports a fault.
 
-A table and the loop over it; a new field is one line in `AXES`. Ranges are wide limits of what the
-unit allows, chosen so that the usual mistakes (metres for mm, kelvin for °C, m/s² for a unit
-vector, ticks for mm) fall outside.
+A new field is one line in the table `AXES`. Ranges are wide limits of what the unit allows. The
+usual mistakes (metres for mm, kelvin for °C, m/s² for a unit vector, ticks for mm) fall outside.
 """
 
 from __future__ import annotations
@@ -124,15 +123,15 @@ _LONGEST = 100  # characters of a name, as in a bundle
 _SMALLEST = 1.0  # mm: a robot whose points all lie within this is a robot in metres
 # no robot is that much longer or shorter than at rest; other units are ten times off
 _STRETCH = 4.0
-_TICK = 1e-9  # s: no clock of ours is finer
-_SAMPLE = 200_000  # values looked at for the extent: enough for any file, quick for the largest
+_TICK = 1e-9  # s, below the resolution of all clocks here
+_SAMPLE = 200_000  # values sampled for the extent: enough for any file, fast for the largest
 
 
 def convert(name: FieldName, value: object) -> NDArray[np.generic]:
     """Return a read-only copy of `value` in the type of field `name`.
 
     Raises:
-        RunError: it cannot be read as that type.
+        RunError: it cannot be converted to that type.
     """
     kind = AXES[name][1]
     hidden = mask_of(value)
@@ -174,7 +173,7 @@ def convert(name: FieldName, value: object) -> NDArray[np.generic]:
 
 
 def frozen(array: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Return an array that cannot be changed by mistake."""
+    """Return the array, made read-only."""
     array.setflags(write=False)
     return array
 
@@ -219,13 +218,13 @@ def cut_rows(run: Run, rows: slice) -> Document:
 
 
 def outputs_from(stored: dict[str, NDArray[np.generic]]) -> Document:
-    """Replace the fields of outputs in a file by those of a run; return these.
+    """Replace the fields of outputs in a file by those of a run, and return these.
 
-    A file may hold `output` (K, Q) in `output_unit`, as a person writes it, in place of markers and
+    A file may hold `output` (K, Q) in `output_unit`, written by a person, in place of markers and
     their scale.
 
     Raises:
-        RunError: a field is missing or of another kind.
+        RunError: a field is missing or has the wrong kind.
     """
     found: Document = {}
     if "timeless" in stored:
@@ -252,7 +251,7 @@ def outputs_from(stored: dict[str, NDArray[np.generic]]) -> Document:
 
 
 def stored_outputs(run: Run) -> dict[str, NDArray[np.generic]]:
-    """Return the fields that keep the markers' meaning in a file, and that it has no time."""
+    """Return the fields that store the meaning of the markers, and whether the run has no time."""
     found: dict[str, NDArray[np.generic]] = {"timeless": np.asarray(True)} if run.timeless else {}
     if run.output is None:
         return found
@@ -280,7 +279,7 @@ def check(run: Run) -> None:
 
 
 def _sizes(run: Run) -> dict[str, tuple[int, str]]:
-    """The length of each axis and the field that sets it."""
+    """Return the length of each axis and the field that sets it."""
     sizes = {axis: (int(axis), "") for axis in "346"}
     if run.t.ndim == 1:
         sizes["T"] = (len(run.t), "t")
@@ -367,7 +366,7 @@ def _values(name: FieldName, value: NDArray[np.generic], run: Run) -> None:
 
 
 def shown_only(name: str, value: NDArray[Any], run: Run) -> NDArray[Any]:
-    """Return a field of the run, NaN for points that `visible` marks as not seen."""
+    """Return a field of the run, with NaN at points that `visible` marks as not seen."""
     shown = run.visible
     if name not in PLACES or shown is None or shown.shape != value.shape[:2] or shown.all():
         return value
@@ -510,11 +509,11 @@ def _units(run: Run) -> None:
 
 
 def _same_units(markers: NDArray[np.float64], rest: NDArray[np.float64]) -> None:
-    """Compare the spread of the markers with that at rest: bending at most halves it."""
+    """Compare the spread of the markers with that at rest: bending halves it at most."""
     if len(rest) < 2 or not len(markers):
         return
     frames = markers[:: max(1, len(markers) // 50)]
-    spread = np.sqrt(np.var(frames, axis=1).sum(axis=1))  # an incomplete frame gives none
+    spread = np.sqrt(np.var(frames, axis=1).sum(axis=1))  # an incomplete frame has no spread
     spread = spread[np.isfinite(spread)]
     at_rest = float(np.sqrt(np.var(rest, axis=0).sum()))
     if not len(spread) or at_rest <= 0:
@@ -529,9 +528,9 @@ def _same_units(markers: NDArray[np.float64], rest: NDArray[np.float64]) -> None
 
 
 def unmasked(values: ArrayLike) -> NDArray[np.float64]:
-    """Return real numbers, NaN where a numpy masked array masks one.
+    """Return real numbers, with NaN where a numpy masked array is masked.
 
-    `np.asarray` drops the mask, so that a filler such as 99999 would count as a value.
+    `np.asarray` drops the mask, so a filler such as 99999 would count as a value.
     """
     if isinstance(values, np.ma.MaskedArray):
         return np.where(np.ma.getmaskarray(values), np.nan, np.ma.getdata(values)).astype(float)
@@ -539,7 +538,7 @@ def unmasked(values: ArrayLike) -> NDArray[np.float64]:
 
 
 def mask_of(values: object) -> NDArray[np.bool_] | None:
-    """Return which values a numpy masked array masks; None if there is none."""
+    """Return the mask of a numpy masked array; None if it has none."""
     if not isinstance(values, np.ma.MaskedArray):
         return None
     mask = np.asarray(np.ma.getmaskarray(values), np.bool_)

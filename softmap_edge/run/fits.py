@@ -1,4 +1,4 @@
-"""Check if runs can be joined: one robot and unit, the same channels, points and conditions."""
+"""Check whether runs can be joined: one robot and unit, equal channels, points and conditions."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ OPTIONAL: tuple[FieldName, ...] = (
 
 
 def check_fit(runs: Sequence[Run]) -> None:
-    """Raise RunError, with both values, if a run does not fit the first one."""
+    """Raise RunError with both values if a run does not match the first one."""
     for number, run in enumerate(runs[1:], start=2):
         for what, first, other in _facts(runs[0], run):
             if first != other:
@@ -58,24 +58,24 @@ def _facts(one: Run, other: Run) -> Iterator[tuple[str, object, object]]:
 
 
 def _outputs(run: Run) -> str | None:
-    """Return the names and the unit of the outputs; None for places."""
+    """Return names and unit of the outputs; None for positions."""
     return None if run.output is None else f"{', '.join(run.output.names)} in {run.output.unit}"
 
 
 def _time(run: Run) -> str:
-    """Return the kind of the times of a run."""
+    """Return the kind of a run's times."""
     return "rows without time" if run.timeless else "seconds"
 
 
 def _text(value: object) -> str:
-    """Return a value as a message prints it."""
+    """Return a value as printed in a message."""
     return (
         ", ".join(value[:6]) + ", …" * (len(value) > 6) if isinstance(value, list) else str(value)
     )
 
 
 def _kind(run: Run) -> str:
-    """Return whether a run is commanded in ticks or in its command unit."""
+    """Return whether the commands are in ticks or in the command unit."""
     return "ticks" if run.ticks is not None else "commands"
 
 

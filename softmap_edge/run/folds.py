@@ -1,12 +1,12 @@
-"""Folds of cross-validation: which frames are held out together, and which are then fitted.
+"""Cross-validation folds: frames that are held out together, and frames that are then fitted.
 
-Frames near each other are alike, so folds are blocks of time, with a gap on each side that trains
-nothing. But moves of one kind are often recorded one after the other, and a block of time then
-holds all of them: what was never seen cannot be learned (on a real nine-tendon robot a polynomial
-looked ten times worse than it is). So where a run labels its frames (`block`) and has labels
-enough, complete labels are dealt out to the folds in turn, in order of appearance. In the same way
-every fifth block of a run is withheld from a search, to confirm what it claims. Units: s. Pinned by
-tests/diagnosis/test_fit.py, tests/diagnosis/test_certificates.py.
+Adjacent frames are similar, so folds are blocks of time. Frames in a gap on each side are not used
+for training. But moves of one kind are often recorded in sequence, so a block of time may hold all
+of them, and a fit cannot learn moves that it never sees. (On a real nine-tendon robot the error of
+a polynomial appeared ten times too large.) If a run has enough labels (`block`), complete labels
+are distributed over the folds in turn, in order of appearance. In the same way every fifth block
+is withheld from a search, to confirm its claims. Units: s. Pinned by tests/diagnosis/test_fit.py,
+tests/diagnosis/test_certificates.py.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.intp]
 Folds = list[tuple[Index, Index]]  # (frames trained on, frames tested)
 
-FOLDS, GAP = 8, 1.0  # of a diagnosis, and the seconds left out next to a fold
+FOLDS, GAP = 8, 1.0  # folds of a diagnosis; s left out on each side of a fold
 MOST_FOLDS = 10
 LEAST_FRAMES = 8
-LEAST_LABELLED = 3  # frames of one label, on average: one a frame is a number and no label
-LABELS_A_FOLD = 2  # fewer, and a fold would hold out one kind of motion and nothing else
-# every fifth block is withheld, the third first: a run begins with frames that choose
+LEAST_LABELLED = 3  # frames per label, on average; with fewer, labels are numbers of frames
+LABELS_A_FOLD = 2  # labels; with fewer, a fold holds out only one kind of motion
+# every fifth block is withheld, starting with the third: the first frames of a run are used
 EVERY, FIRST = 5, 2
-# a block is at least so many gaps long, so that the gaps next to it cost little
+# a block is at least this many gaps long, so gaps cost few frames
 MOST_BLOCKS, GAPS_A_BLOCK = 25, 5
-LEAST_WITHHOLDING = 60  # frames of a run from which blocks are withheld
+LEAST_WITHHOLDING = 60  # frames; shorter runs withhold no blocks
 
 
 def folds(
@@ -41,10 +41,10 @@ def folds(
     labels: NDArray[np.generic] | None = None,
     most: int = MOST_FOLDS,
 ) -> Folds:
-    """Cut frames at `t` (n,) s into folds; each is predicted from frames over `gap_s` away from it.
+    """Split frames at `t` (n,) s into folds; each is predicted from frames `gap_s` or more away.
 
-    Without `labels` (n,) a fold is a block of time. With them it is complete labels, dealt out in
-    turn to at most `most` folds.
+    Without `labels` (n,) a fold is a block of time. With labels, complete labels are distributed in
+    turn over at most `most` folds.
 
     Raises:
         RunError: too few frames or labels.
@@ -55,7 +55,7 @@ def folds(
         )
     else:
         _, first, label = np.unique(labels, return_index=True, return_inverse=True)
-        order = np.argsort(np.argsort(first))  # labels in the order in which they appear
+        order = np.argsort(np.argsort(first))  # labels in order of appearance
         blocks = min(most, len(first))
         fold = order[label.reshape(-1)] % max(blocks, 1)
     if blocks < 2 or len(t) < 2 * blocks:
@@ -76,7 +76,8 @@ def run_folds(t_seen: Floats, labels: NDArray[np.generic] | None = None) -> Fold
     Folds are by label if there are 16 labels or more, else by blocks of time.
 
     Args:
-        t_seen: (K,) s. labels: (K,), one for each frame.
+        t_seen: times of the frames, (K,) s.
+        labels: one per frame, (K,).
 
     Raises:
         SoftmapError: fewer than 8 frames.
@@ -90,7 +91,7 @@ def run_folds(t_seen: Floats, labels: NDArray[np.generic] | None = None) -> Fold
     count = FOLDS if frames >= 2 * FOLDS else max(2, frames // 4)
     found = []
     for train, test in folds(t_seen, count, GAP, labels if labelled(labels) else None, FOLDS):
-        # labels that change with every frame leave nothing a second away
+        # labels that change at every frame leave no frame outside the gap
         if len(train) < frames // 4:
             train = np.setdiff1d(np.arange(frames), test)
         found.append((train, test))
@@ -98,7 +99,7 @@ def run_folds(t_seen: Floats, labels: NDArray[np.generic] | None = None) -> Fold
 
 
 def without_gap(t_seen: Floats, labels: NDArray[np.generic] | None = None) -> tuple[int, int]:
-    """Count the folds of a diagnosis without a gap, because blocks are shorter than the gap.
+    """Count the folds of a diagnosis whose blocks are shorter than the gap and therefore have none.
 
     Args:
         t_seen: times of the frames, shape (K,), s.
@@ -115,7 +116,7 @@ def without_gap(t_seen: Floats, labels: NDArray[np.generic] | None = None) -> tu
 
 
 def labelled(labels: NDArray[np.generic] | None) -> bool:
-    """Whether frames have labels enough for a diagnosis to hold out complete labels."""
+    """Return whether frames have enough labels for a diagnosis to hold out complete labels."""
     if labels is None:
         return False
     count = len(np.unique(labels))
@@ -126,25 +127,26 @@ def labelled(labels: NDArray[np.generic] | None) -> bool:
 class Withheld:
     """Frames that a search uses, and frames of complete blocks withheld from it.
 
-    The others lie within a gap.
+    The remaining frames lie within a gap.
     """
 
-    chosen: Index  # (n,) rising, the first frame of each run among them
-    rows: Index  # (w,) rising, none within a gap of those chosen
-    blocks: int  # of which `rows` are
+    chosen: Index  # (n,) increasing; includes the first frame of each run
+    rows: Index  # (w,) increasing; none within a gap of the chosen frames
+    blocks: int  # number of blocks that `rows` come from
     reason: str = ""  # why nothing is withheld
 
 
 def withheld(t_seen: Floats, labels: NDArray[np.generic] | None, begins: Index) -> Withheld:
-    """Withhold every fifth block of a run, of time or of labels as in `run_folds`.
+    """Withhold every fifth block of a run: blocks of time or of labels, as in `run_folds`.
 
-    Noise is correlated over short times, so frames within a gap of a withheld block choose nothing
-    either.
+    Noise is correlated over short times, so the search does not use frames within a gap of a
+    withheld block either.
 
     Args:
-        t_seen: (K,) s.
-        labels: (K,), one for each frame.
-        begins: numbers of the first frame of each run; time is counted from there, so they stay.
+        t_seen: times of the frames, (K,) s.
+        labels: one per frame, (K,).
+        begins: index of the first frame of each run; these frames are kept, because time starts
+            there.
     """
     frames = len(t_seen)
     every = np.arange(frames)
@@ -158,7 +160,7 @@ def withheld(t_seen: Floats, labels: NDArray[np.generic] | None, begins: Index) 
     if labels is not None and labelled(labels):
         _, first, label = np.unique(labels, return_index=True, return_inverse=True)
         block = np.argsort(np.argsort(first))[label.reshape(-1)]
-        # the others stay enough
+        # leave enough blocks
         out = np.arange(FIRST, len(first), EVERY)[: len(first) - LABELS_A_FOLD * FOLDS]
     else:
         count = int(float(t_seen[-1] - t_seen[0]) / (EVERY * GAPS_A_BLOCK * GAP))
@@ -177,7 +179,7 @@ def withheld(t_seen: Floats, labels: NDArray[np.generic] | None, begins: Index) 
 
 
 def _away(t: Floats, others: Floats) -> Floats:
-    """Return the distance (n,) s of times `t` (n,) from the nearest of `others`, both rising."""
+    """Return the distance (n,) s of times `t` (n,) to the nearest of `others`; both increase."""
     after = np.searchsorted(others, t)
     last, next_ = np.maximum(after - 1, 0), np.minimum(after, len(others) - 1)
     return np.asarray(np.minimum(np.abs(t - others[last]), np.abs(t - others[next_])))

@@ -1,7 +1,7 @@
-"""Documents about outputs other than places: their figures in the output's own unit, for a report.
+"""Convert documents about outputs other than positions to the output's own unit, for reports.
 
-A comparison or diagnosis counts in the model's mm; `made_from.output` holds the mm for one unit.
-Numbers of commands (`1.39 mm on servo 1`) keep their unit. In sentences only values in mm RMS are
+A comparison or diagnosis computes in the model's mm; `made_from.output` holds the mm per unit.
+Command values (`1.39 mm on servo 1`) keep their unit. In sentences, only values in mm RMS are
 outputs. Pinned by tests/run/test_output.py.
 """
 
@@ -15,19 +15,19 @@ from softmap_edge.files.atomic import Document
 from softmap_edge.files.numbers import mm
 from softmap_edge.run.output import Output
 
-PLACES = "mm"  # the unit of a run of places
+PLACES = "mm"  # unit of a run of positions
 _RMS = re.compile(r"((?:\d+\.?\d* (?:to|and|of) )?)(\d+\.?\d*) mm RMS")
 _NUMBER = re.compile(r"\d+\.?\d*")
 
 
 def output_of(made_from: Document) -> Output | None:
-    """Return the output that a document is about, from its `made_from`; None for places."""
+    """Return the output of a document from its `made_from`; None for positions."""
     document = made_from.get("output")
     return None if document is None else Output.from_dict(document)
 
 
 def unit_of(made_from: Document) -> str:
-    """Return the unit of the figures of a document after `in_unit` or `comparison_in_unit`."""
+    """Return the unit of a document's figures after `in_unit` or `comparison_in_unit`."""
     output = output_of(made_from)
     return PLACES if output is None else output.unit
 
@@ -48,7 +48,7 @@ def words_in_unit(text: str, output: Output | None) -> str:
 
 
 def in_unit(document: Document) -> Document:
-    """Return a diagnosis document with its figures in its output's unit; unchanged for places."""
+    """Return a diagnosis document with figures in its output's unit; unchanged for positions."""
     output = output_of(document.get("made_from") or {})
     if output is None:
         return dict(document)
@@ -68,11 +68,11 @@ def in_unit(document: Document) -> Document:
 
 
 def renamed_maps(maps: Document) -> Document:
-    """Return maps of the error with one entry for each output in place of the body's sections."""
+    """Return error maps with one entry per output in place of the body's sections."""
     return {"output" if name == "section" else name: rows for name, rows in maps.items()}
 
 
-_PLAIN = ("frames", "folds", "numbers")  # entries of `error` that are no lengths
+_PLAIN = ("frames", "folds", "numbers")  # entries of `error` that are not lengths
 
 
 def lengths_in_unit(value: object, output: Output, key: str = "") -> Any:

@@ -1,10 +1,10 @@
-"""Join runs of one robot into one: rows and frames in sequence, a border of blocks at each gap.
+"""Join runs of one robot: rows and frames in sequence, with a block border at each gap.
 
-Pieces of one recording keep its clock, and a piece that begins where the one before it ends
-continues it: cutting a run and joining its pieces gives the run again. Any other run begins `gap_s`
-after the end of the one before. A prediction runs through such a gap, so the memory at its far side
-is that of a robot which waited there; commands that learn from several runs take them unjoined, and
-each begins in equilibrium. Pinned by tests/run/test_run_parts.py.
+Pieces of one recording keep its clock, and a piece that begins where the previous one ends
+continues it. So cutting a run and joining its pieces restores the run. Any other run begins
+`gap_s` after the end of the previous one. A prediction continues through such a gap, so memory
+after it is that of a robot which waited there. Commands that learn from several runs take them
+separately, each starting in equilibrium. Pinned by tests/run/test_run_parts.py.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from softmap_edge.run.folds import GAP
 from softmap_edge.run.run import BASE_MARKERS, MAX_NUMBERS, PIECES, Run
 
 Floats = NDArray[np.float64]
-# s between runs of several recordings: ten times the gap next to a block of a diagnosis
+# s between runs of different recordings: ten times the gap next to a block of a diagnosis
 GAP_S = 10.0
 NEXT = 1.5  # usual steps of rows within which a piece continues the one before it
 SLACK = 1e-6  # s by which times of one recording may differ after a shift and its inverse
@@ -34,15 +34,15 @@ STACKED = tuple(name for name in BY_ROW if name not in ("t", "gravity"))
 
 @dataclass(frozen=True)
 class _Placed:
-    """A run in the joined one.
+    """A run with its place in the joined run.
 
-    `shift_s` is added to its times; its first `skip` rows repeat the run before.
+    `shift_s` is added to its times; its first `skip` rows repeat the previous run.
     """
 
     run: Run
     shift_s: float
     skip: int
-    follows: bool  # whether it continues the run before it without a gap
+    follows: bool  # whether it continues the previous run without a gap
 
 
 def join_runs(runs: Sequence[Run], gap_s: float = GAP_S, drop: Collection[str] = ()) -> Run:
@@ -50,13 +50,13 @@ def join_runs(runs: Sequence[Run], gap_s: float = GAP_S, drop: Collection[str] =
 
     Args:
         runs: two or more, in the order of the joined run.
-        gap_s: s between the end of a run and the begin of the next, if they are not of one
-            recording.
-        drop: fields to leave out, such as one that not all runs hold.
+        gap_s: s between the end of a run and the beginning of the next, if they come from different
+            recordings.
+        drop: fields to omit, such as one that some runs lack.
 
     Raises:
-        RunError: the runs are not of one robot, a field is not in all of them, or they hold the
-            same frames.
+        RunError: the runs are from different robots, a field is missing in some of them, or they
+            hold the same frames.
     """
     if len(runs) < 2:
         raise RunError(f"{len(runs)} run{'s' * (len(runs) != 1)} to join; give two or more")
@@ -93,7 +93,7 @@ def _without(run: Run, drop: Collection[str]) -> Run:
 
 
 def _in_scale(run: Run, first: Run) -> Run:
-    """Return a run of outputs in the scale of the first one, if both are of the same outputs."""
+    """Return a run of outputs in the scale of the first one, if both have the same outputs."""
     own, other = run.output, first.output
     if (
         own is None
@@ -116,7 +116,7 @@ def _check_size(runs: Sequence[Run]) -> None:
 
 # --- where each run stands ------------------------------------------------------------------
 def _placed(runs: Sequence[Run], gap_s: float) -> list[_Placed]:
-    """Return the runs one after the other; pieces of one recording by its clock."""
+    """Return the runs in sequence; pieces of one recording are placed by its clock."""
     _check_apart(runs)
     found = [_Placed(runs[0], 0.0, 0, False)]
     for run in runs[1:]:
@@ -139,24 +139,24 @@ def _placed(runs: Sequence[Run], gap_s: float) -> list[_Placed]:
 
 
 def _step(run: Run) -> float:
-    """Return the usual time s between rows; 0 of a single row."""
+    """Return the usual time step (s) between rows; 0 for a single row."""
     return float(np.median(np.diff(run.t))) if len(run.t) > 1 else 0.0
 
 
 def _begin(run: Run) -> float:
-    """Return the time s of the first frame, or row where nothing was seen."""
+    """Return the time (s) of the first frame, or of the first row without frames."""
     return float(run.t_seen[0]) if run.frames else float(run.t[0])
 
 
 def _end(run: Run) -> float:
-    """Return the time s of the last row or frame."""
+    """Return the time (s) of the last row or frame."""
     return float(max([run.t[-1], *run.t_seen[-1:]]))
 
 
 def _on_its_clock(before: _Placed, run: Run) -> float | None:
-    """Return the shift (s) of a run on the clock of the recording before it.
+    """Return the shift (s) of a run on the clock of the previous recording.
 
-    None if it is of another recording.
+    None if it belongs to another recording.
     """
     last, first = run_pieces.pieces(before.run)[-1], run_pieces.pieces(run)[0]
     if last.origin != first.origin:
@@ -185,7 +185,7 @@ def _check_apart(runs: Sequence[Run]) -> None:
 
 
 def _pieces(placed: Sequence[_Placed]) -> list[run_pieces.Piece]:
-    """Return the pieces of the joined run; one that continues the one before is a part of it."""
+    """Return the pieces of the joined run; a piece that continues the previous one is merged."""
     found: list[run_pieces.Piece] = []
     rows = frames = 0
     for one in placed:
@@ -253,7 +253,7 @@ def _visible(run: Run) -> NDArray[np.bool_]:
 
 
 def _frames(runs: Sequence[Run]) -> Document:
-    """Return the frame of aligned runs if they share it, and the largest of their uncertainties."""
+    """Return the frame of aligned runs if all share it, with the largest of their uncertainties."""
     first, sigma = runs[0].frame, [run.frame_sigma for run in runs if run.frame_sigma is not None]
     same = first is not None and all(
         run.frame is not None and np.array_equal(run.frame, first) for run in runs
@@ -265,7 +265,7 @@ def _frames(runs: Sequence[Run]) -> Document:
 
 
 def _extra(placed: Sequence[_Placed]) -> dict[str, NDArray[np.generic]]:
-    """Return the fields of `extra`: joined if they go by row or by frame, else as in all runs."""
+    """Return the fields of `extra`: joined if per row or per frame, else the common value."""
     found = {}
     for name in sorted({name for one in placed for name in one.run.extra} - set(PIECES)):
         arrays = [one.run.extra.get(name) for one in placed]
@@ -276,7 +276,7 @@ def _extra(placed: Sequence[_Placed]) -> dict[str, NDArray[np.generic]]:
         ):
             found[name] = known[0]
         elif name in ("made_by", "made_from"):
-            continue  # of each recording: its hash stands for it
+            continue  # kept per recording: the hash represents it
         elif (
             in_all
             and name != BASE_MARKERS
@@ -294,7 +294,7 @@ def _extra(placed: Sequence[_Placed]) -> dict[str, NDArray[np.generic]]:
 
 
 def _stacked(name: str, arrays: Sequence[NDArray[np.generic]]) -> NDArray[np.generic]:
-    """Return arrays one after the other; raise RunError if their other axes differ."""
+    """Return arrays concatenated; raise RunError if their other axes differ."""
     if len({(array.shape[1:], array.dtype.kind) for array in arrays}) > 1:
         raise RunError(
             f"{name}: shapes {[array.shape for array in arrays]} do not fit together; leave it "

@@ -1,8 +1,8 @@
-"""Report suspicious runs among those joined: they follow one another in time, or share data.
+"""Report suspicious runs among those joined: consecutive in time, or with shared data.
 
-Noise makes each frame of a camera different, so frames that follow one another and are equal in two
-runs are the same frames. Frames that repeat within their own run, as those of a simulation at rest,
-do not count. Pinned by tests/run/test_join_doubts.py.
+Camera noise makes every frame different, so a sequence of equal frames in two runs is the same
+recording. Frames that repeat within their own run, such as a simulation at rest, do not count.
+Pinned by tests/run/test_join_doubts.py.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _AGREE = 1e-9  # of the pause
 
 @dataclass(frozen=True)
 class _Rows:
-    """What a run measured: its name in messages, times (K,) s, and numbers (K, N)."""
+    """The measurements of a run: its name in messages, times (K,) s, and numbers (K, N)."""
 
     name: str
     t: Floats
@@ -35,10 +35,10 @@ class _Rows:
 
 
 def join_doubts(runs: Sequence[Run], gap_s: float) -> list[str]:
-    """Return sentences on runs that are joined, if something about them is suspicious.
+    """Return sentences on suspicious runs among those joined.
 
     Args:
-        runs: the runs, in the order of the joined run.
+        runs: in the order of the joined run.
         gap_s: s between two runs in the joined run.
     """
     pairs = [_followed(k, one, runs[k + 1], gap_s) for k, one in enumerate(runs[:-1])]
@@ -48,7 +48,7 @@ def join_doubts(runs: Sequence[Run], gap_s: float) -> list[str]:
 
 
 def _followed(k: int, one: Run, other: Run, gap_s: float) -> str | None:
-    """Return the sentence on two runs whose own times follow one another; None if they do not."""
+    """Return the sentence on two runs that are consecutive in time; None if they are not."""
     same_clock = run_pieces.pieces(one)[-1].origin == run_pieces.pieces(other)[0].origin
     if one.timeless or other.timeless or same_clock:
         return None
@@ -83,7 +83,7 @@ def _measured(run: Run) -> _Rows | None:
 
 
 def _twice(i: int, one: _Rows | None, j: int, other: _Rows | None) -> str | None:
-    """Return the sentence on data that two runs share; None without any."""
+    """Return the sentence on data shared by two runs; None if there are none."""
     if (
         one is None
         or other is None
@@ -109,9 +109,9 @@ def _twice(i: int, one: _Rows | None, j: int, other: _Rows | None) -> str | None
 
 
 def _stretches(numbers: Floats, length: int) -> dict[bytes, int]:
-    """Return the first rows of stretches of so many rows (K, N), by content.
+    """Return the first row of each stretch of `length` rows of numbers (K, N), by content.
 
-    Each stretch occurs once and is not at rest.
+    Only stretches that occur once and are not at rest are returned.
     """
     rows = np.ascontiguousarray(np.where(np.isfinite(numbers), numbers, 0.0) + 0.0)
     moves = np.any(np.diff(rows, axis=0) != 0, axis=1)

@@ -1,8 +1,8 @@
 """Outputs of any kind: a force, an angle or a level in place of the positions of a body.
 
-A run of outputs has no geometry. Each output is carried as one marker on a straight line of
-markers, `mm_per_unit` mm along x for one unit of the output. So every function that takes markers
-works on it. Reports convert the figures back (`Output.value`). Pinned by tests/run/test_output.py.
+A run of outputs has no geometry. Each output is stored as one marker on a straight line of
+markers, `mm_per_unit` mm along x per unit of the output, so every function for markers applies.
+Reports convert the figures back (`Output.value`). Pinned by tests/run/test_output.py.
 """
 
 from __future__ import annotations
@@ -18,26 +18,26 @@ from softmap_edge.files.atomic import Document
 
 Floats = NDArray[np.float64]
 
-# of the line of markers: five times its motion, so that a chord's angle is linear in the output
+# length of the line of markers: five times its motion, so a chord's angle is linear in the output
 LENGTH_MM = 500.0
-RANGE_MM = 100.0  # range of the outputs inside: the motion of a usual finger, in any unit
-FARTHEST = 3.0  # ranges from zero: beyond, the angle of a chord hardly depends on the output
-DIGITS = 2  # of mm_per_unit: runs of one machine that differ little get the same scale
-MOST = 64  # outputs of a run
+RANGE_MM = 100.0  # internal range of the outputs, in any unit: the motion of a usual finger
+FARTHEST = 3.0  # ranges from zero: beyond, a chord's angle hardly depends on the output
+DIGITS = 2  # digits of mm_per_unit, so that similar runs of one machine get the same scale
+MOST = 64  # outputs of a run at most
 _SCALES = (1e-12, 1e12)  # mm per unit: from pascals to gigapascals
 
 
 @dataclass(frozen=True)
 class Output:
-    """The meaning of the markers of a run of outputs.
+    """The meaning of the markers in a run of outputs.
 
     Attributes:
         names: of the outputs, in the order of the markers.
-        unit: of all of them, as reports print it (N, deg, V).
-        mm_per_unit: mm along x for one unit.
+        unit: of all outputs, as reports print it (N, deg, V).
+        mm_per_unit: mm along x per unit.
 
     Raises:
-        RunError: a name, the unit or the scale cannot be used.
+        RunError: a name, the unit or the scale is invalid.
     """
 
     names: tuple[str, ...]
@@ -76,7 +76,7 @@ class Output:
         return np.asarray(markers[..., 0] / self.mm_per_unit)
 
     def value(self, mm: float) -> float:
-        """Return an error or a displacement in mm as one in `unit`."""
+        """Return an error or a displacement in mm, converted to `unit`."""
         return mm / self.mm_per_unit
 
     def rescaled(self, markers: Floats, other: Output) -> Floats:
@@ -86,7 +86,7 @@ class Output:
         return points
 
     def to_dict(self) -> Document:
-        """Return the record as documents and manifests hold it."""
+        """Return the record as stored in documents and manifests."""
         return asdict(self) | {"names": list(self.names)}
 
     @classmethod
@@ -105,7 +105,7 @@ class Output:
 
 
 def output_of(values: ArrayLike, unit: str, names: tuple[str, ...] = ()) -> Output:
-    """Return the scale that carries outputs (K, Q) in `unit`: the largest range becomes `RANGE_MM`.
+    """Return the scale for outputs (K, Q) in `unit`: the largest range becomes `RANGE_MM`.
 
     Raises:
         RunError: no output moves, or a value is not finite.
@@ -130,9 +130,9 @@ def output_of(values: ArrayLike, unit: str, names: tuple[str, ...] = ()) -> Outp
 
 
 def acts_on_outputs(effect: Mapping[str, object]) -> bool:
-    """Return whether an effect of the registry can act on outputs: on the command, or on the clock.
+    """Return whether an effect of the registry can act on outputs: on the command or the clock.
 
-    Loads, shapes, obstacles and camera frames belong to a body.
+    Loads, shapes, obstacles and camera frames need a body.
     """
     return bool(
         effect["role"] == "channel" or (effect["role"] == "sensing" and effect["family"] == "delay")
@@ -140,12 +140,12 @@ def acts_on_outputs(effect: Mapping[str, object]) -> bool:
 
 
 def needs_time(effect: Document) -> bool:
-    """Return whether an effect is a delay, a rate or a time constant, which needs times."""
-    # an instant is a row as well
+    """Return whether an effect is a delay, a rate or a time constant and so needs times."""
+    # an instant may also be a row
     units = [p["unit"] for p in effect["parameters"] if p["name"] != "at"]
     return any(unit == "s" or unit.endswith(("/s", "/min")) for unit in units)
 
 
 def _known(rows: Floats) -> NDArray[np.bool_]:
-    """Return which outputs (Q,) have a value at all."""
+    """Return which outputs (Q,) have any value."""
     return np.asarray(np.isfinite(rows).any(axis=0))

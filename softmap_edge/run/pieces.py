@@ -1,8 +1,8 @@
-"""The recordings that a run was cut from or joined of, as pieces that the run's file keeps.
+"""Pieces: the recordings that a run was cut from or joined from, stored in the run's file.
 
-A piece is the rows from `row` on and the frames from `frame` on, up to those of the next piece. Its
-times in the run are those of its recording plus `shift_s`. A run that was neither cut nor joined is
-one piece: itself.
+A piece is the rows from `row` and the frames from `frame` up to those of the next piece. Its times
+in the run are those of its recording plus `shift_s`. A run that was neither cut nor joined is one
+piece: itself.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def pieces(run: Run) -> tuple[Piece, ...]:
     """Return the pieces of a run, in order.
 
     Raises:
-        RunError: the fields of pieces in the run do not fit together.
+        RunError: the piece fields of the run are inconsistent.
     """
     there = [name for name in PIECES if name in run.extra]
     if not there:
@@ -51,7 +51,7 @@ def pieces(run: Run) -> tuple[Piece, ...]:
 
 
 def _fit(run: Run, arrays: Sequence[NDArray[np.generic]]) -> bool:
-    """Return whether the fields of pieces (P,) belong to the run."""
+    """Return whether the piece fields (P,) belong to the run."""
     origin, row, frame, shift = arrays
     if len({array.shape for array in arrays}) > 1 or origin.ndim != 1 or not len(origin):
         return False
@@ -77,7 +77,7 @@ def _fit(run: Run, arrays: Sequence[NDArray[np.generic]]) -> bool:
 
 
 def fields(parts: Sequence[Piece]) -> dict[str, NDArray[np.generic]]:
-    """Return the fields of `Run.extra` that keep the pieces."""
+    """Return the fields of `Run.extra` that store the pieces."""
     values = (
         np.array([part.origin for part in parts]),
         np.array([part.row for part in parts], np.int64),
@@ -88,7 +88,7 @@ def fields(parts: Sequence[Piece]) -> dict[str, NDArray[np.generic]]:
 
 
 def within(parts: Sequence[Piece], rows: slice, frames: slice) -> list[Piece]:
-    """Return the pieces with rows or frames within a part of their run, counted from its start."""
+    """Return the pieces with rows or frames in a part of their run, counted from its start."""
     found = []
     ends = [(part.row, part.frame) for part in parts[1:]] + [(rows.stop, frames.stop)]
     for part, (row_end, frame_end) in zip(parts, ends):
@@ -101,7 +101,7 @@ def within(parts: Sequence[Piece], rows: slice, frames: slice) -> list[Piece]:
 
 
 def spans(run: Run) -> list[tuple[Piece, float, float]]:
-    """Return each piece with its first and last time of rows, s on the clock of its recording."""
+    """Return each piece with the first and last time (s) of its rows, on its recording's clock."""
     parts = pieces(run)
     ends = [part.row for part in parts[1:]] + [len(run.t)]
     return [

@@ -1,13 +1,13 @@
 """Markers in a plane: the coordinate across it is not measured, predicted or validated.
 
-A run may declare it: its field `plane` keeps the axis of the base frame that is not measured ("x",
-"y" or "z"), and 0 is that coordinate. A model's prediction for such a run has 0 there as well. So
-the error, and whatever an effect does across the plane, is 0, and no effect is found or excluded by
-it. Pinned by tests/run/test_plane.py.
+A run may declare this: its field `plane` holds the axis of the base frame that is not measured
+("x", "y" or "z"), and that coordinate is 0. The model's prediction for such a run is 0 there too.
+So error and effects across the plane are 0, and this coordinate neither supports nor excludes an
+effect. Pinned by tests/run/test_plane.py.
 
-A run that declares nothing may still lie in one plane to the last digit, in every frame
-(`plane_of`): a planar robot seen by one camera, whose third coordinate is a constant. Noise of a
-real third coordinate is far larger than `EXACT`.
+An undeclared run may also lie in one plane to the last digit, in every frame (`plane_of`): a planar
+robot seen by one camera, whose third coordinate is constant. Noise of a measured third coordinate
+is far larger than `EXACT`.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ Array = NDArray[np.float64]
 
 PLANE = "plane"  # the field of a run with the axis that is not measured
 AXES = "xyz"
-EXACT = 1e-5  # of the extent of the points, RMS: rounding of a number, never noise of a measurement
-NEAR_MM = 1e-3  # mm from the origin, within which a plane goes through it
-ALONG = 0.999  # cosine from which a normal is an axis
-SAMPLE = 20_000  # points that are tested
+EXACT = 1e-5  # of the extent of the points, RMS: rounding, smaller than any noise
+NEAR_MM = 1e-3  # mm from the origin; within it a plane passes through the origin
+ALONG = 0.999  # cosine; from here on a normal is parallel to an axis
+SAMPLE = 20_000  # points tested at most
 
 
 def unmeasured(run: Run) -> int | None:
@@ -53,7 +53,7 @@ def unmeasured(run: Run) -> int | None:
 
 
 def flat(points: Array, run: Run) -> Array:
-    """Return points (..., 3) mm with 0 as the coordinate that a run does not measure.
+    """Return points (..., 3) mm with 0 in the coordinate that a run does not measure.
 
     They are unchanged if it measures all.
     """
@@ -66,7 +66,7 @@ def flat(points: Array, run: Run) -> Array:
 
 
 def unmeasured_parameters(run: Run) -> tuple[str, ...]:
-    """Return the parameters of the base's place that markers in a plane cannot identify."""
+    """Return the parameters of the base's pose that markers in a plane cannot identify."""
     axis = unmeasured(run)
     if axis is None:
         return ()

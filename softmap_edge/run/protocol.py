@@ -1,13 +1,13 @@
-"""Commands that show what a model lacks: a standard protocol, and a different validation run.
+"""Protocols of commands that show what a model lacks: the standard one, and a validation run.
 
 A protocol is a list of blocks: home revisits, triangles of growing size, small loops at two
-offsets, diagonals, staircases with long dwells, fast triangles. Each comes in two mounting
-orientations, because one alone cannot distinguish the weight of the body from a weight at the tip.
-The other run holds circles, spirals and smooth random moves. A `Tape` takes the moves, within the
-`Limits` of a robot; single blocks to choose from are in `experiment/blocks.py`. Units: s, mm of
-tendon shortening (or the robot's own unit), gravity in g in the base frame, load in g. Limit:
-straight moves at constant speed, without the ramps of a real servo; `tests/synthetic/test_truth.py`
-pins the frame counts, speeds and coverage.
+offsets, diagonals, staircases with long dwells, fast triangles. Each block is played in two
+mounting orientations, because one alone cannot distinguish the weight of the body from a weight at
+the tip. The validation run consists of circles, spirals and smooth random moves. A `Tape` records
+the moves within the `Limits` of a robot; `experiment/blocks.py` holds single blocks. Units: s, mm
+of tendon shortening (or the robot's own unit), gravity in g in the base frame, load in g. Limit:
+straight moves at constant speed, without the ramps of a real servo. `tests/synthetic/test_truth.py`
+pins frame counts, speeds and coverage.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from softmap_edge.errors import SoftmapError
 
 Floats = NDArray[np.float64]
 
-RATE = 50.0  # Hz, rate at which commands are recorded
+RATE = 50.0  # Hz, recording rate of commands
 REACH = 12.0  # mm, largest command: leaves room for gain and offset inside a ±16 mm sweep
 SLOW, FAST = 9.0, 55.0  # mm/s at this reach; at 55 mm/s a delay of 20 ms is 1.1 mm
-SHARE = 0.75  # of the range of a model that is used: leaves room for gain and offset
+SHARE = 0.75  # of the model's range that is used: leaves room for gain and offset
 DWELL = 7.0  # s, long enough to see creep
-STAIRS = 3  # channels up to which each has its staircase in each orientation
-TURNING = 6.0  # s at home while the mounting is turned; no frame is taken
-LIMIT_MINUTES = 120.0  # longer is no protocol
+STAIRS = 3  # channels; up to here each has its own staircase in each orientation
+TURNING = 6.0  # s at home while the mounting is rotated; no frame is captured
+LIMIT_MINUTES = 120.0  # duration of the longest protocol
 HANGING = (0.0, 0.0, 1.0)
-# second mounting: off hanging, and out of the tendon planes
+# second mounting: tilt from hanging, and direction outside the tendon planes
 LEAN, AZIMUTH = np.radians(35.0), np.radians(25.0)
 LEANING = (
     float(np.sin(LEAN) * np.cos(AZIMUTH)),
@@ -42,12 +42,18 @@ LEANING = (
 
 @dataclass(frozen=True)
 class Protocol:
-    """Commands to send and instants to look.
+    """Commands to send and capture times.
 
-    `t` (T,) s, `command` (T, C) mm, `gravity` (T, 3) g in the base frame, `t_seen` (K,) s, `block`
-    (K,) labels. `load` (T,) g that is hung at the tip, and `temperature` (T,) °C that is to be
-    reached, where they are part of it. `notes` give the times (s) of steps done by hand; `unit` is
-    that of the commands.
+    Attributes:
+        t: (T,) s.
+        command: (T, C) in `unit`.
+        gravity: (T, 3) g, base frame.
+        t_seen: (K,) s, capture times.
+        block: (K,) labels.
+        load: (T,) g at the tip, if part of the protocol.
+        temperature: (T,) °C to reach, if part of the protocol.
+        notes: times (s) of manual steps.
+        unit: of the commands.
     """
 
     name: str
@@ -68,15 +74,15 @@ class Protocol:
 
     @property
     def minutes(self) -> float:
-        """Return how long it takes."""
+        """Return the duration."""
         return float(self.t[-1] - self.t[0]) / 60.0
 
 
 @dataclass(frozen=True)
 class Limits:
-    """How far and how fast a robot moves.
+    """Range and speed of a robot's commands.
 
-    Home, low, high (C,) are in its unit, slow and fast (C,) in units a second.
+    Home, low, high (C,) are in its unit, slow and fast (C,) in units per second.
     """
 
     home: Floats
@@ -91,7 +97,7 @@ class Limits:
         """Return ± `reach` mm for each of `channels`, at the usual speeds.
 
         Raises:
-            SoftmapError: no channel, or a reach that is none.
+            SoftmapError: no channel, or an invalid reach.
         """
         if channels < 1 or not 0.0 < reach < 1e3:
             raise SoftmapError(
@@ -105,12 +111,11 @@ class Limits:
     def of(cls, command_range: Floats, unit: str = "mm", fastest: float | None = None) -> Limits:
         """Return limits at three quarters of a model's `command_range` (C, 2).
 
-        They lie to both sides of home, with matching speeds.
-
-        Home is command 0, or what is nearest to it. `fastest` units a second bounds every speed.
+        They lie on both sides of home, with matching speeds. Home is command 0, or the nearest
+        command to it. `fastest` (units per second) bounds every speed.
 
         Raises:
-            SoftmapError: nothing is commanded, a channel without range, or a speed that is none.
+            SoftmapError: no commands, a channel without range, or an invalid speed.
         """
         low, high = np.asarray(command_range, float).reshape(-1, 2).T
         if not low.size or not np.all(np.isfinite(low) & np.isfinite(high) & (high > low)):
@@ -136,15 +141,12 @@ class Limits:
 
     @property
     def two_sided(self) -> NDArray[np.bool_]:
-        """Which channels (C,) can be moved to both sides of home."""
+        """Return which channels (C,) can move to both sides of home."""
         least = 0.1 * (self.high - self.low)
         return np.asarray((self.home - self.low > least) & (self.high - self.home > least))
 
     def at(self, share: Floats) -> Floats:
-        """Return the command (..., C) at `share` of the way from home.
-
-        It leads to high (above 0) or to low (below 0).
-        """
+        """Return the command (..., C) at `share` of the way from home to high (low if negative)."""
         up, down = self.high - self.home, self.home - self.low
         return np.asarray(self.home + np.where(share > 0, share * up, share * down))
 
@@ -159,11 +161,17 @@ def standard_protocol(
 ) -> Protocol:
     """Make the standard protocol: about 360 frames in 4 minutes, two orientations.
 
-    Args: `channels` C ≥ 1; `seed` of the irregular frame times; `reach` mm, the largest command;
-    `limits` of a robot, in place of both; `back` returns to the first orientation for triangles and
-    the other side of the staircases, so that orientation no longer follows time: 6 minutes;
-    `orientations` are the two directions of gravity. Returns the protocol. Raises SoftmapError if
-    channels or reach are not usable.
+    Args:
+        channels: C ≥ 1.
+        seed: of the irregular frame times.
+        reach: largest command, mm.
+        limits: of a robot, in place of channels and reach.
+        back: whether to return to the first orientation for triangles and the other side of the
+            staircases, which separates orientation from time: 6 minutes.
+        orientations: the two directions of gravity.
+
+    Raises:
+        SoftmapError: channels or reach are not usable.
     """
     limits = limits or Limits.even(channels, reach)
     directions = (*orientations, orientations[0]) if back else orientations
@@ -175,15 +183,15 @@ def other_protocol(
 ) -> Protocol:
     """Make a validation run of another kind: circles, spirals, smooth random moves.
 
-    Args and errors as `standard_protocol`; returns about 240 frames in 2 minutes, the same two
-    orientations.
+    It has about 240 frames in 2 minutes, in the same two orientations. Arguments and errors are
+    those of `standard_protocol`.
     """
     limits = limits or Limits.even(channels, reach)
     return _in_orientations("another kind of run", limits, seed, _other_blocks, (HANGING, LEANING))
 
 
 class Tape:
-    """Collects the corners of the command, conditions and times of captures, move after move."""
+    """Collect the corners of the command, the conditions and the capture times, move after move."""
 
     def __init__(
         self,
@@ -207,14 +215,14 @@ class Tape:
         return self.corners[-1][1]
 
     def _pause(self, note: str) -> float:
-        """Rest at home for what is done by hand, and return the time in the middle."""
+        """Rest at home for a manual step; return the time in the middle."""
         self.home()
         self.hold(TURNING, 0.0, "")
         self.notes.append((self.now - TURNING, note))
         return self.now - TURNING / 2
 
     def turn(self, gravity: tuple[float, ...]) -> None:
-        """Turn the mounting half-way through a pause at home."""
+        """Rotate the mounting half-way through a pause at home."""
         if gravity != self.turns[-1][1]:
             down = " ".join(f"{x:.2f}" for x in gravity)
             self.turns.append(
@@ -222,13 +230,13 @@ class Tape:
             )
 
     def hang(self, load: float) -> None:
-        """Hang `load` g at the tip, in all, half-way through a pause at home."""
+        """Set the load at the tip to `load` g half-way through a pause at home."""
         if load != self.loads[-1][1]:
             note = f"hang {load:g} g at the tip" if load else "take the load from the tip"
             self.loads.append((self._pause(note), load))
 
     def home(self) -> None:
-        """Go home slowly, unseen."""
+        """Go home slowly, without captures."""
         self.to(self.limits.home, self.slow, 0.0, "")
 
     def look(self, start: float, end: float, rate: float, label: str) -> None:
@@ -250,7 +258,7 @@ class Tape:
         self.corners.append((self.now, self.here.copy()))
 
     def to(self, target: Floats, speed: Floats, rate: float, label: str) -> None:
-        """Move straight to `target` (C,) mm, no channel faster than its `speed` (C,) mm/s."""
+        """Move straight to `target` (C,) mm; no channel exceeds its `speed` (C,) mm/s."""
         samples = int(np.ceil(float(np.max(np.abs(target - self.here) / speed)) * RATE - 1e-9))
         if samples <= 0:
             return
@@ -321,7 +329,7 @@ def _standard_blocks(tape: Tape, part: int) -> None:
             small_loops(tape, channel)
         diagonals(tape)
     for channel in channels:
-        # with many channels each in one of the orientations
+        # with many channels, each in one orientation only
         if tape.channels <= STAIRS or channel % 2 == part % 2:
             staircase(tape, channel, 1.0 if part == 0 else -1.0)
     for channel in channels if part < 2 else ():
@@ -330,7 +338,7 @@ def _standard_blocks(tape: Tape, part: int) -> None:
 
 
 def home(tape: Tape, seconds: float, rate: float) -> None:
-    """Rest where the tape is, which is home."""
+    """Rest at the present place, which is home."""
     tape.hold(seconds, rate, "home")
 
 
@@ -342,7 +350,7 @@ def triangles(tape: Tape, channel: int) -> None:
 
 
 def small_loops(tape: Tape, channel: int) -> None:
-    """Move one channel a little, to and fro, about two places far from each other."""
+    """Move one channel to and fro by small amounts, about two distant places."""
     for middle in (0.6, -0.4) if tape.limits.two_sided[channel] else (0.7, 0.3):
         for end in (middle - 0.12, middle + 0.12, middle - 0.12, middle):
             tape.to(tape.axis(channel, end), tape.slow, 2.3, f"small loop[{channel}]")
@@ -350,7 +358,7 @@ def small_loops(tape: Tape, channel: int) -> None:
 
 
 def diagonals(tape: Tape) -> None:
-    """Move all channels together, and then every second one against the others."""
+    """Move all channels together, then every second one against the others."""
     for sign in (1.0, -1.0):
         corner = 0.72 * np.array([1.0 if c % 2 == 0 else sign for c in range(tape.channels)])
         for share in (corner, -corner, 0.0 * corner):
@@ -358,7 +366,7 @@ def diagonals(tape: Tape) -> None:
 
 
 def staircase(tape: Tape, channel: int, sign: float) -> None:
-    """Rest on each step of a staircase long enough to see creep."""
+    """Rest on each step of a staircase, long enough to see creep."""
     sign = sign if tape.limits.two_sided[channel] else 1.0
     for level in (0.5, 1.0, 0.5, 0.0):
         tape.to(tape.axis(channel, sign * level), 2 * tape.slow, 0.0, "")
@@ -366,7 +374,7 @@ def staircase(tape: Tape, channel: int, sign: float) -> None:
 
 
 def fast_triangles(tape: Tape, channel: int) -> None:
-    """Move one channel over most of its range as fast as it may go, seen often."""
+    """Move one channel over most of its range at its highest speed, captured often."""
     for end in (0.85, -0.85, 0.85, -0.85, 0.0):
         tape.to(tape.axis(channel, end), tape.fast, 9.0, f"fast[{channel}]")
     tape.hold(1.2, 4.0, f"fast[{channel}]")
@@ -384,7 +392,7 @@ def _other_blocks(tape: Tape, part: int) -> None:
 def circle(tape: Tape) -> Callable[[Floats], Floats]:
     """Return a path of two turns that starts and ends at home.
 
-    Each channel is a quarter behind the one before.
+    Each channel is a quarter turn behind the previous one.
     """
     shift = np.arange(tape.channels) * (np.pi / 2)
 
@@ -396,7 +404,7 @@ def circle(tape: Tape) -> Callable[[Floats], Floats]:
 
 
 def spiral(tape: Tape) -> Callable[[Floats], Floats]:
-    """Return a path of five turns that grow and shrink, the other way round, from home to home."""
+    """Return a path from home to home: five growing and shrinking turns, opposite in sense."""
     shift = np.arange(tape.channels) * (np.pi / 2)
 
     def path(phase: Floats) -> Floats:

@@ -1,7 +1,7 @@
 """Find commands and encoders that roll over: jumps of about one turn in otherwise slow motion.
 
-A turn is 2^k counts, 360 degrees (also in tenths or hundredths) or 2π. A step that was commanded
-has the same size, but the motion does not go on across it. Pinned by tests/run/test_rollover.py.
+A turn is 2^k counts, 360 degrees (also in tenths or hundredths) or 2π. A commanded step may have
+the same size, but the motion does not continue across it. Pinned by tests/run/test_rollover.py.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ Floats = NDArray[np.float64]
 TURNS = (2 * np.pi, 360.0, 3600.0, 36000.0, *(2.0**bits for bits in range(8, 25)))
 DRIVES: tuple[FieldName, ...] = ("command", "ticks", "present", "present_ticks")
 _SLOW = 0.25  # of a turn: all other steps are shorter
-_NEAR = 5  # rows on either side that show how fast the motion is
-_FASTER = 2.0  # times the fastest of them: the largest step across the roll-over
-_MOST = 0.8  # of the jumps are roll-overs
-_SHOWN = 6  # channels that are named
+_NEAR = 5  # rows on either side that measure the speed
+_FASTER = 2.0  # times the largest step there: the largest step across a roll-over
+_MOST = 0.8  # of the jumps must be roll-overs
+_SHOWN = 6  # channels that are listed
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def roll_over(values: Floats, turns: tuple[float, ...] = TURNS) -> RollOver | No
         if not 0.5 * turn < span <= turn * (1 + 1e-9) or (
             turn == TURNS[0] and (values == np.rint(values)).all()
         ):
-            continue  # whole numbers are no radians
+            continue  # whole numbers are not radians
         jumps = size > 0.5 * turn
         if not jumps.any() or size[~jumps].max(initial=0.0) > _SLOW * turn:
             continue
@@ -66,9 +66,9 @@ def roll_over(values: Floats, turns: tuple[float, ...] = TURNS) -> RollOver | No
 
 
 def _reach(size: Floats, jumps: NDArray[np.bool_]) -> Floats:
-    """Return the largest step that motion around each jump allows; -1 at rest.
+    """Return the largest step that the motion around each jump allows; -1 at rest.
 
-    It follows from the steps (T - 1,).
+    It is computed from the steps `size` (T - 1,).
     """
     steps = np.where(jumps, 0.0, size)
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(steps, _NEAR), 2 * _NEAR + 1)
@@ -77,7 +77,7 @@ def _reach(size: Floats, jumps: NDArray[np.bool_]) -> Floats:
 
 
 def unwrapped(values: Floats, turn: float) -> tuple[Floats, int]:
-    """Return a channel (T,) that counts on over its roll-overs, and their number; NaN stays NaN."""
+    """Return a channel (T,) unwrapped over its roll-overs, and their number; NaN stays NaN."""
     known = np.isfinite(values)
     jumps = int((np.abs(np.diff(values[known])) > 0.5 * turn).sum())
     found = values.copy()
@@ -86,7 +86,7 @@ def unwrapped(values: Floats, turn: float) -> tuple[Floats, int]:
 
 
 def roll_overs_of(run: Run) -> list[str]:
-    """Return a sentence for each kind of drive data of a run that rolls over."""
+    """Return a sentence for each kind of drive data in a run that rolls over."""
     radius = spool_radius(run.extra)
     found: list[str] = []
     for name in DRIVES:
@@ -103,10 +103,9 @@ def roll_overs_of(run: Run) -> list[str]:
 
 
 def roll_over_line(name: str, names: list[str], found: list[RollOver | None]) -> str | None:
-    """Return the sentence on channels that roll over, which ends with the mapping's key.
+    """Return the sentence on channels that roll over, with the key of the mapping that fixes it.
 
-    None if none does.
-
+    Return None if no channel does.
     Args:
         name: of the quantity in a mapping.
         names: of its channels.

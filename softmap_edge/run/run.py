@@ -1,10 +1,10 @@
-"""The run: what was commanded and seen, every field checked (units mm, s, ticks, mA, °C, g).
+"""The run: commands and measurements, with every field checked (mm, s, ticks, mA, °C, g).
 
-`Run.load` and `Run.save` read and write the plain `.npz` form. A Run is valid by construction: code
-that receives one need not check again. T command rows, C channels, K frames seen, N vertices or M
-markers; C = 0 and K = 0 are valid. The unit of `command` and `present` is mm of tendon unless
-`command_unit` names another (a robot without a spool radius). Known limit: a file in metres is
-recognised by its extent (< 1 mm in all), so a robot smaller than that is refused;
+`Run.load` and `Run.save` read and write the plain `.npz` form. A Run is valid by construction, so
+code that receives one need not check it again. T command rows, C channels, K seen frames, N
+vertices or M markers; C = 0 and K = 0 are valid. The unit of `command` and `present` is mm of
+tendon unless `command_unit` names another (a robot without a spool radius). Known limit: a file in
+metres is recognised by its extent (< 1 mm in total), so a smaller robot is refused.
 tests/run/test_runs.py pins this and each message.
 """
 
@@ -38,28 +38,28 @@ from softmap_edge.run.plane import PLANE
 
 Array = NDArray[np.float64]
 Source = Literal["goal", "present"]
-MAX_NUMBERS = 1 << 26  # of a run: 40 000 frames of 548 vertices
-# the field in which an import keeps markers (K, B, 3) mm that are fixed to the base
+MAX_NUMBERS = 1 << 26  # numbers in a run: 40 000 frames of 548 vertices
+# field of an import: markers (K, B, 3) mm that are fixed to the base
 BASE_MARKERS = "base_markers"
-ROLL_SEEN = "roll_seen"  # a field: whether a run shows what the body does about its own axis
-# the field in which an import keeps the radius of the spools of its mapping
+ROLL_SEEN = "roll_seen"  # field: whether a run shows the body's rotation about its own axis
+# field of an import: radius of the spools in its mapping
 SPOOL_RADIUS = "spool_radius_mm"
 SPOOLS_MM = (1e-3, 1e4)  # radii that a mapping may declare
-# the field that marks the search for places that stand for "not seen" as done or switched off
+# field: the search for places that stand for "not seen" is done or switched off
 NOT_SEEN = "not_seen"
 # fields of a run that was cut or joined
 PIECES = ("piece_origin", "piece_row", "piece_frame", "piece_shift_s")
-NO_COMMANDS = (  # what a run of markers alone cannot be used for
+NO_COMMANDS = (  # reasons why a run of markers alone cannot be used
     "a run without commands can be shown, cut and joined, but no model can be learned from it, "
     "compared with it or diagnosed; name the columns of the commands (or encoders) as `command` "
     "or `ticks` in the mapping"
 )
-# the field with the ticks at home (C,) of a run whose commands count ticks from there
+# field: ticks at home (C,) of a run whose commands count from there
 HOME_TICKS = "home_ticks"
-# the field with the map (JSON) by which a control loop turned commands into `ticks`
+# field: the map (JSON) with which a control loop converted commands to `ticks`
 CALIBRATION = "calibration"
-DAMAGE = "damage"  # the field with a sentence on what the recording lacks of which the run was made
-# Fields of `extra` that our own commands write.
+DAMAGE = "damage"  # field: a sentence on what the source recording lacks
+# fields of `extra` that our own commands write
 OURS = {
     BASE_MARKERS,
     SPOOL_RADIUS,
@@ -75,7 +75,7 @@ OURS |= {CALIBRATION, DAMAGE, *PIECES}
 
 
 def spool_radius(extra: Mapping[str, NDArray[np.generic]]) -> float | None:
-    """Return the radius of the spools (mm) that a mapping declared in `Run.extra`.
+    """Return the radius (mm) of the spools from `Run.extra`, where a mapping declared it.
 
     None if it is absent or not plausible.
     """
@@ -85,7 +85,7 @@ def spool_radius(extra: Mapping[str, NDArray[np.generic]]) -> float | None:
 
 
 def text_in(extra: Mapping[str, NDArray[np.generic]], name: str) -> str | None:
-    """Return the text of a `Run.extra` field; None if absent or another program's array."""
+    """Return the text of a `Run.extra` field; None if absent, or an array of another program."""
     field = extra.get(name)
     return (
         None
@@ -99,14 +99,14 @@ def _load(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> Run:
 
     Args:
         path: the file.
-        limit: the most bytes that it may unpack to.
+        limit: largest unpacked size, bytes.
 
     Raises:
         RunError: the file is damaged, too large, or a field is wrong.
     """
     archive = read_npz(Path(path), RunError, limit)
     numbers = sum(array.size for array in archive.values())
-    # each takes eight bytes, several times, in whatever type it is stored
+    # each number takes eight bytes, several times, whatever its stored type
     if numbers > MAX_NUMBERS:
         raise RunError(
             f"{path}: {numbers:.3g} numbers, at most {MAX_NUMBERS:.3g} are read; cut it into "
@@ -133,7 +133,7 @@ def _load(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> Run:
 
 
 class _Load:
-    """`run.load` is the column of grams, `Run.load(path)` reads a file: one name for two things."""
+    """Share one name between `run.load` (the column of grams) and `Run.load(path)` (the reader)."""
 
     @overload
     def __get__(self, run: None, owner: type[Run]) -> Callable[..., Run]: ...
@@ -154,30 +154,32 @@ class Run:
         t: (T,) s, strictly increasing.
         t_seen: (K,) s, strictly increasing, on the clock of `t`.
         command, ticks: (T, C) commands, in `command_unit` (mm of shortening) or in servo ticks;
-            one of the two.
+            exactly one of the two.
         present, present_ticks: (T, C) encoder positions, in `command_unit` or in ticks.
         current, temperature, load: (T, C) mA, (T,) °C, (T,) g; the last two may be given as one
             number.
         gravity: (3,) or (T, 3) unit vector in the base frame.
-        vertices, markers: (K, N, 3) mm; or `points` (P, 3) mm, cloud k being
-            `points[start[k]:start[k + 1]]`.
-        visible: (K, N) bool. sigma: () or (K, N) mm, one standard deviation. block: (K,) integer or
-            text labels.
-        marker_rest: (M, 3) mm, the markers of the straight robot. robot: its name.
+        vertices, markers: (K, N, 3) mm.
+        points: (P, 3) mm, in place of these; cloud k is `points[start[k]:start[k + 1]]`.
+        visible: (K, N) bool.
+        sigma: () or (K, N) mm, one standard deviation.
+        block: (K,) integer or text labels.
+        marker_rest: (M, 3) mm, the markers of the straight robot.
+        robot: its name.
         frame: (3, 4) [R | mm], transform of the points from the recorded frame to the base frame
-            (`softmap run align`); frame_sigma: (6,) its standard deviations, deg and mm, about the
-            axes of the base frame.
-        cameras: (A, 3, 4) [R | mm], the pose of each camera, from the base frame to its own, in
-            which it looks along z.
-        output: meaning of the markers, if they are forces, angles or levels and not places
+            (`softmap run align`).
+        frame_sigma: (6,) standard deviations of `frame`, deg and mm, about the axes of the base
+            frame.
+        cameras: (A, 3, 4) [R | mm], transform from the base frame to each camera, which looks
+            along z.
+        output: meaning of the markers if they are forces, angles or levels, not positions
             (`of_outputs`).
-        timeless: whether `t` counts rows, because the log has no time: nothing about rates can be
-            learned from it.
-        extra: unknown fields, kept as they are.
+        timeless: whether `t` counts rows because the log has no time; nothing about rates can then
+            be learned.
+        extra: unknown fields, kept unchanged.
 
     Raises:
-        RunError: a field is not as above; the message gives its name, its value and the expected
-            one.
+        RunError: a field is invalid; the message gives its name, its value and the expected one.
     """
 
     t: Array
@@ -217,13 +219,13 @@ class Run:
         t_seen: ArrayLike,
         **recorded: Unpack[RecordedFields],
     ) -> Run:
-        """Return a run of outputs other than places: forces, angles, levels.
+        """Return a run of outputs other than positions: forces, angles, levels.
 
         Args:
             values: measured values, shape (K, Q), in `unit`; NaN where an output has no value.
             unit: of all outputs, as reports print it.
-            names: of the outputs; numbered without them.
-            t_seen: (K,) s.
+            names: of the outputs; numbered by default.
+            t_seen: times of the frames, (K,) s.
             recorded: the other fields of a run: `t`, `command`, `command_unit`, `timeless`, …
 
         Raises:
@@ -255,7 +257,7 @@ class Run:
         self.validate()
 
     def _hide_masked(self) -> None:
-        """Mark points with a masked coordinate as not seen in `visible`."""
+        """Mark points with a masked coordinate as not seen."""
         for name in fields.PLACES:
             hidden = mask_of(self.array(name))
             if hidden is not None and hidden.ndim == 3:
@@ -267,10 +269,10 @@ class Run:
     def validate(self) -> None:
         """Check every field: shape, finiteness, order of time, plausible units.
 
-        A Run is checked when it is made.
+        A Run is already checked when it is created.
 
         Raises:
-            RunError: the first fault, with what was expected.
+            RunError: the first fault, with the expected value.
         """
         fields.check(self)
 
@@ -287,7 +289,7 @@ class Run:
         return stored | {name: self.extra[name] for name in sorted(self.extra)}
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the run as `.npz`; the same run gives the same bytes.
+        """Write the run as `.npz`; equal runs give equal bytes.
 
         Raises:
             RunError: the name does not end in .npz.
@@ -330,7 +332,7 @@ class Run:
 
     @property
     def channels(self) -> int:
-        """C, the number of command channels."""
+        """The number of command channels, C."""
         for rows in (self.command, self.ticks):
             if rows is not None:
                 return int(rows.shape[1])
@@ -338,12 +340,12 @@ class Run:
 
     @property
     def frames(self) -> int:
-        """K, the number of frames seen."""
+        """The number of seen frames, K."""
         return len(self.t_seen)
 
     @property
     def marker_names(self) -> list[str]:
-        """The markers' names, from `marker_labels` where an import kept them, else from 1."""
+        """The names of the markers: `marker_labels` of an import, else numbers from 1."""
         if self.output is not None:
             return list(self.output.names)
         count = 0 if self.markers is None else self.markers.shape[1]
@@ -356,10 +358,10 @@ class Run:
 
     @property
     def outputs(self) -> Array:
-        """(K, Q) measured values, in `output.unit`; NaN where an output has no value.
+        """The measured values (K, Q), in `output.unit`; NaN where an output has no value.
 
         Raises:
-            RunError: the run is one of places.
+            RunError: the run holds positions.
         """
         if self.output is None or self.markers is None:
             raise RunError("output: the run holds places, not outputs; its markers are `markers`")
@@ -367,10 +369,10 @@ class Run:
 
     @property
     def seen_points(self) -> Array:
-        """(K, N, 3) mm: the vertices or the markers, whichever the run holds.
+        """The vertices or the markers, whichever the run holds, (K, N, 3) mm.
 
         Raises:
-            RunError: the run holds clouds of points, or nothing seen.
+            RunError: the run holds point clouds, or no points.
         """
         if self.places is not None:
             return self.places
@@ -382,14 +384,14 @@ class Run:
         raise RunError("vertices, markers: the run holds neither; record or import what was seen")
 
     def commands(self, source: Source | None = None) -> Array:
-        """Return (T, C) what drives the model, in `command_unit`.
+        """Return the commands (T, C) that drive the model, in `command_unit`.
 
         Args:
-            source: "goal" (what was commanded), "present" (what the encoders measured); None takes
-                the present position where the run has it, else the goal.
+            source: "goal" (commanded) or "present" (measured by the encoders); None: present
+                positions if the run has them, else goals.
 
         Raises:
-            RunError: the run does not hold it, or holds ticks only.
+            RunError: the run does not hold it, or holds only ticks.
         """
         if source not in (None, "goal", "present"):
             raise RunError(f"source: '{source}', expected goal or present")
@@ -419,7 +421,7 @@ class Run:
     def at(self, select: ArrayLike) -> Run:
         """Return the run with some of its frames.
 
-        The commands stay complete, so that memory is still right.
+        All commands are kept, to preserve memory.
 
         Args:
             select: (K,) bool, or indices of frames in increasing order.
@@ -458,8 +460,7 @@ class Run:
     def slice_time(self, t0: float, t1: float) -> Run:
         """Return rows and frames with t0 <= time < t1 (s), and the row whose command holds at t0.
 
-        What the robot remembers of earlier rows is cut off with them; use `at` where memory
-        matters.
+        Memory of earlier rows is lost; use `at` if memory matters.
 
         Raises:
             RunError: the interval is empty or holds no row.
@@ -482,14 +483,13 @@ class Run:
         block: str | int | None = None,
         lead_s: float = 0.0,
     ) -> Run:
-        """Return a piece of the run: a span of time, or a block (`run_cut.cut`).
+        """Return a piece of the run: a time span or a block (`run_cut.cut`).
 
         Args:
-            start: time in s; frames with start <= time < end are kept. None: from the first one on.
-            end: time in s. None: to the last frame.
-            block: a label, in place of a time.
-            lead_s: s of commands that are kept before the first frame, so that memory is still
-                right.
+            start: s; frames with start <= time < end are kept. None: from the first frame.
+            end: s. None: to the last frame.
+            block: a label, in place of times.
+            lead_s: s of commands kept before the first frame, to preserve memory.
 
         Raises:
             RunError: the piece is empty, or there is no such block.
@@ -507,6 +507,6 @@ class Run:
 
 
 def known(run: Run, points: Array) -> NDArray[np.bool_]:
-    """Return which points (K, N, 3) of a run were seen, (K, N): finite and not reported hidden."""
+    """Return which points (K, N, 3) of a run were seen, (K, N): finite and not marked hidden."""
     finite = np.asarray(np.isfinite(points).all(axis=2), np.bool_)
     return finite if run.visible is None else np.logical_and(finite, run.visible)

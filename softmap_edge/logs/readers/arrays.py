@@ -1,11 +1,11 @@
-"""Turn named arrays (.npz, .mat, HDF5, Parquet) into named columns: `u`, `u[0]`, `markers[2].x`.
+"""Convert named arrays (.npz, .mat, HDF5, Parquet) to columns: `u`, `u[0]`, `markers[2].x`.
 
     (K,)       name                       (K, C)     name[0] … name[C-1]
     (K, M, 3)  name[0].x, .y, .z, …       (K, A, B)  name[0,0] … name[A-1,B-1]
 
-Rows run along the axis that is as long as a vector of the file, else along the longest one, so that
-MATLAB's rows and columns are both read. Arrays of different lengths are different tables: a
-`[[log]]` names columns of one length.
+Rows run along the axis that is as long as a vector of the file, else along the longest one. So
+MATLAB's row and column vectors are both read. Arrays of different lengths are separate tables: a
+`[[log]]` lists columns of one length.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from softmap_edge.logs.readers.columns import Array, Cells, as_floats, quiet
 if TYPE_CHECKING:
     from softmap_edge.logs.time_text import TimeText
 
-MOST_COLUMNS = 4096  # of one array, and of all of a file
-_SHOWN = 6  # arrays that a note names
+MOST_COLUMNS = 4096  # of one array, and of all arrays in a file
+_SHOWN = 6  # arrays that a note lists
 
 
 @dataclass(frozen=True)
@@ -43,18 +43,18 @@ class ArrayColumns:
 
     @property
     def clocks(self) -> dict[int, TimeText]:
-        """Its columns of dates or times as text: none."""
+        """Columns of dates or times as text: none."""
         return {}
 
     @property
     def head_line(self) -> None:
-        """The number of the line that names the columns: there is none."""
+        """Line number of the column names: none."""
 
     def read(self, places: list[int], label: int | None = None, rows: int | None = None) -> Cells:
-        """Return the cells of some columns of one length.
+        """Return the cells of columns of one length.
 
         Raises:
-            RunError: they differ in length.
+            RunError: the columns differ in length.
         """
         asked = [*places, *([] if label is None else [label])]
         lengths = {len(self.columns[k]) for k in asked}
@@ -71,7 +71,7 @@ class ArrayColumns:
         return Cells(numbers, labels, np.arange(1, len(numbers) + 1), self.notes)
 
     def groups(self) -> list[list[int]]:
-        """Return the columns' positions by length (two rows or more), the longest first."""
+        """Return the columns' positions grouped by length (two rows or more), the longest first."""
         lengths = sorted({len(column) for column in self.columns if len(column) > 1}, reverse=True)
         return [
             [k for k, column in enumerate(self.columns) if len(column) == length]
@@ -106,8 +106,8 @@ def columns_of_arrays(
         arrays: numbers by name, of shape (K,), (K, C), (K, M, 3) or (K, A, B); others are left out.
         texts: columns of text, by name.
         labels: names for the columns of a two-dimensional array, in place of their numbers.
-        notes: sentences on changes that the reader made.
-        left_out: arrays that hold no numbers, with the reason.
+        notes: sentences on changes made by the reader.
+        left_out: arrays without numbers, with the reason.
 
     Raises:
         RunError: the file holds no column.
@@ -143,7 +143,7 @@ def columns_of_arrays(
 def _vector_lengths(
     arrays: Mapping[str, NDArray[np.generic]], texts: Mapping[str, list[str]]
 ) -> set[int]:
-    """Return the lengths of the vectors of a file: times, single channels and labels."""
+    """Return the lengths of a file's vectors: times, single channels and labels."""
     vectors = [
         array.size for array in arrays.values() if array.size > 1 and array.size == max(array.shape)
     ]
@@ -153,8 +153,8 @@ def _vector_lengths(
 def _rows_first(
     array: NDArray[np.generic], usual: set[int]
 ) -> tuple[NDArray[np.generic] | None, int]:
-    """Return an array with its rows along the first axis, and the axis along which they were."""
-    if array.size > 1 and array.size == max(array.shape):  # a vector, whatever its shape
+    """Return an array with its rows along the first axis, and the axis where they were."""
+    if array.size > 1 and array.size == max(array.shape):  # a vector of any shape
         return array.reshape(-1), 0
     if array.ndim not in (2, 3) or array.size < 2:
         return None, 0

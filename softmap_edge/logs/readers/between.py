@@ -1,4 +1,4 @@
-"""Leave out lines between a text log's rows: repeated heads of a logger, and remarks.
+"""Leave out lines between the rows of a text log: repeated headers, and remarks.
 
 Pinned by tests/logs/test_between.py.
 """
@@ -16,18 +16,16 @@ from softmap_edge.files.printable import listed
 from softmap_edge.logs.readers.cells import is_value, split
 from softmap_edge.logs.readers.heads import plain_name, plain_names
 
-_LISTED = 3  # lines that are named
+_LISTED = 3  # lines that are listed
 _MARKS = "#%"
 _CUTS = re.compile(r"[,;\t|]")
 
 
 def without_heads(lines: list[str]) -> list[str]:
-    """Return a log's first lines, with repeated heads blank.
+    """Return a log's first lines with repeated headers blanked.
 
-    They are lines below a row that repeat an earlier line of names.
-
-    Names in another order count as well: both are one table, whatever the second half of it is
-    called.
+    These lines follow a row and repeat an earlier line of names. Names in another order also count,
+    because both parts are one table whatever the header of the second part.
     """
     seen: set[tuple[str, ...]] = set()
     found, rows = list(lines), False
@@ -46,14 +44,14 @@ def without_heads(lines: list[str]) -> list[str]:
 
 @dataclass
 class Between:
-    """The lines that were left out during one reading: their numbers."""
+    """The numbers of the lines left out during one reading."""
 
     heads: list[int] = field(default_factory=list)
     remarks: list[int] = field(default_factory=list)
 
     @property
     def found(self) -> list[int]:
-        """The numbers of all lines that were left out."""
+        """Return the numbers of all lines left out."""
         return [*self.heads, *self.remarks]
 
     def rows(
@@ -64,11 +62,11 @@ class Between:
         mark: str,
         width: int,
     ) -> tuple[list[str], NDArray[np.int64]]:
-        """Return the lines (and their numbers) without repeated heads and remarks, with counts.
+        """Return the lines without repeated headers and remarks, with their numbers, and counts.
 
         Args:
             block: lines that are not blank.
-            numbers: (lines,) of the file.
+            numbers: their line numbers in the file, (lines,).
             head: the lines above the rows that hold names, units or text.
             mark: the separator of cells.
             width: cells of a row.
@@ -100,7 +98,7 @@ class Between:
         return [block[k] for k in kept], numbers[kept]
 
     def lines(self) -> list[str]:
-        """Return the sentences that name the lines."""
+        """Return the sentences that list the lines."""
         sentences = []
         if self.heads:
             sentences.append(

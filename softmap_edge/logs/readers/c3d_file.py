@@ -1,10 +1,8 @@
 """Read the markers of a C3D file with PyPI's `c3d`.
 
-Columns are `frame`, `time` and `LABEL.x`, `LABEL.y`, `LABEL.z`.
-
-A point whose residual is negative, or that is exactly (0, 0, 0), was not seen. Analog channels are
-left out. Sizes are checked against the file before anything is read, since a damaged header may
-state billions of frames.
+Columns are `frame`, `time` and `LABEL.x`, `LABEL.y`, `LABEL.z`. A point with a negative residual,
+or at exactly (0, 0, 0), was not seen. Analog channels are left out. Sizes are checked against the
+file before reading, because a damaged header may state billions of frames.
 """
 
 from __future__ import annotations
@@ -55,7 +53,7 @@ def open_c3d(path: Path) -> HeldColumns:
         raise RunError(f"{path}: is no C3D file (its second byte is not 0x50); export it again")
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
-            warnings.simplefilter("ignore")  # of absent analog data
+            warnings.simplefilter("ignore")  # about absent analog data
             reader = c3d.Reader(io.BytesIO(data))
             labels, unit = _labels(reader), _text(reader, "UNITS").strip().lower()
             first, last, rate = (
@@ -67,7 +65,7 @@ def open_c3d(path: Path) -> HeldColumns:
             frames, points = _points(reader, len(labels))
     except RunError:
         raise
-    except Exception as fault:  # struct, numpy, codecs and asserts: whatever a damaged file meets
+    except Exception as fault:  # damaged files raise errors of struct, numpy, codecs and asserts
         raise RunError(
             f"{path}: is a damaged C3D file ({type(fault).__name__} while it is read); export it "
             "again"
@@ -97,7 +95,7 @@ def _labels(reader: Reader) -> list[str]:
         ]
     found = ["".join(c for c in label if c.isprintable()).strip() for label in found[:count]]
     found += [""] * min(count - len(found), 2**16)
-    taken: set[str] = set()  # a set, for a damaged file may state 65 535 of them
+    taken: set[str] = set()  # a set, because a damaged file may state 65 535 labels
     unique: list[str] = []
     for k, label in enumerate(found):
         label = label or f"marker {k}"

@@ -1,22 +1,20 @@
-"""Turn a serialised ROS 2 message into named numbers, as `position[j1]`, without ROS.
-
-Other names are such as `pose.position.x`.
+"""Convert a serialised ROS 2 message to named numbers without ROS.
 
     definition (.msg text)  →  fields of each type        message (CDR, XCDR1)  →  {name: number}
 
-Sequences get the index in brackets, or a name where the message has one: a sibling `name` or
-`joint_names` of the same length (JointState), or the element's own `child_frame_id` or `…name`
-(TFMessage, rigid bodies). Times are seconds. Texts, bytes and sequences of more than 1024 elements
-are passed over. Nothing here trusts the bytes: a length is checked against the bytes that remain
-before it is used, types cannot nest without end, and every fault is a `CdrError`. Reference: OMG
-DDS-XTypes 1.3, 7.4.1 (plain CDR); the .msg grammar of ROS 2. Pinned by
-tests/logs/test_import_mcap.py against mcap-ros2-support.
+Names are such as `pose.position.x` or `position[j1]`. Elements of sequences get their index in
+brackets, or a name if the message has one: from a sibling `name` or `joint_names` of the same
+length (JointState), or from the element's own `child_frame_id` or `…name` (TFMessage, rigid
+bodies). Times are in s. Texts, bytes and sequences of more than 1024 elements are skipped. The
+bytes are not trusted: each length is checked against the remaining bytes before use, the nesting of
+types is limited, and every fault is a `CdrError`. Reference: OMG DDS-XTypes 1.3, 7.4.1 (plain CDR);
+the .msg grammar of ROS 2. Pinned by tests/logs/test_import_mcap.py against mcap-ros2-support.
 
-Why not mcap-ros2-support 0.6.0 itself: of 10 000 messages and definitions with 1 to 4 mutations
-(joint states, transforms, empty types), this reader returned 1343 and raised CdrError for 8657. The
-other one raised 11 kinds of exceptions for 8284, RecursionError and NameError among them, and
-printed 2600 lines about definitions. It cannot read a message whose text is no UTF-8 (2757 of
-them). Both need under 0.03 s and 2 MB for any of these messages.
+Why not mcap-ros2-support 0.6.0 itself: 10 000 messages and definitions with 1 to 4 mutations were
+tried (joint states, transforms, empty types). This reader returned 1343 and raised CdrError for
+8657. The other one raised 11 kinds of exceptions for 8284, including RecursionError and NameError,
+and printed 2600 lines about definitions. It cannot read a message with text that is not UTF-8 (2757
+of them). Both need less than 0.03 s and 2 MB for any of these messages.
 """
 
 from __future__ import annotations
@@ -47,9 +45,9 @@ PRIMITIVES |= {
 LONGEST = 1024  # elements of a sequence that become columns
 MOST = 4096  # numbers of one message
 _DEEPEST = 16  # types within types
-_STEPS_A_BYTE = 4  # fields and structs that are read for each byte of a message, at most
-_PADDING = 8  # bytes after a message that some writers leave
-_LARGEST = 2**26  # bytes of one message when unpacked
+_STEPS_A_BYTE = 4  # fields and structs read per byte of a message, at most
+_PADDING = 8  # bytes that some writers leave after a message
+_LARGEST = 2**26  # bytes of one unpacked message
 _BYTES = ("byte", "char", "int8", "uint8")
 _TIMES = ("builtin_interfaces/Time", "builtin_interfaces/Duration")
 _FIELD = re.compile(r"^([\w/]+)(<=\d+)?(\[(?:<=)?\d*\])?\s+(\w+)")
@@ -61,7 +59,7 @@ class CdrError(ValueError):
 
 @dataclass(frozen=True)
 class Field:
-    """One field: `count` is None for one value, -1 for a sequence, else the length of an array."""
+    """One field: `count` is None for a single value, -1 for a sequence, else the array's length."""
 
     name: str
     type: str
@@ -72,14 +70,14 @@ Types = dict[str, list[Field]]
 
 
 def parse_definition(name: str, text: str) -> Types:
-    """Return the fields of a type and of all that it contains.
+    """Return the fields of a type and of all types that it contains.
 
     Args:
         name: the type, such as `sensor_msgs/msg/JointState`.
-        text: its definition and, after lines of `=`, those of the types within.
+        text: its definition, followed by those of the contained types after lines of `=`.
 
     Raises:
-        CdrError: a line is no field, or a type within is not defined.
+        CdrError: a line is not a field, or a contained type is not defined.
     """
     types: Types = {}
     for k, part in enumerate(re.split(r"^={20,}\s*$", text, flags=re.MULTILINE)):
@@ -123,16 +121,16 @@ def _field(line: str, owner: str) -> Field | None:
 
 # --- messages ------------------------------------------------------------------------------
 def read_message(name: str, types: Types, data: bytes, complete: bool = False) -> dict[str, float]:
-    """Return the numbers of a message by their names, in its order.
+    """Return the numbers of a message by name, in the message's order.
 
     Args:
         name: the type, such as `sensor_msgs/msg/JointState`.
-        types: its fields, of `parse_definition`.
-        data: the message, as CDR; packed by zstd where rosbag2 packed each message.
-        complete: whether the message must be used up to its last byte, but for padding.
+        types: its fields, from `parse_definition`.
+        data: the message as CDR, compressed with zstd if rosbag2 compressed each message.
+        complete: whether the message must be used up to its last byte, except padding.
 
     Raises:
-        CdrError: the bytes do not fit the definition.
+        CdrError: the bytes do not match the definition.
     """
     reader = _Reader(_plain(data))
     numbers: dict[str, float] = {}
@@ -146,7 +144,7 @@ def read_message(name: str, types: Types, data: bytes, complete: bool = False) -
 
 
 def _plain(data: bytes) -> bytes:
-    """Return a message as CDR, unpacked where rosbag2 packed each message by itself."""
+    """Return a message as CDR, unpacked if rosbag2 compressed each message."""
     if not data.startswith(ZSTD):
         return data
     try:
@@ -166,7 +164,7 @@ def _plain(data: bytes) -> bytes:
 
 
 class _Reader:
-    """The bytes of one message and how far they are read."""
+    """The bytes of one message and the read position."""
 
     def __init__(self, data: bytes) -> None:
         if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
@@ -177,7 +175,7 @@ class _Reader:
         self.steps = _STEPS_A_BYTE * len(data) + MOST
 
     def step(self) -> None:
-        """Count a field or a struct: arrays of structs without any byte could go on without end."""
+        """Count a field or a struct, because arrays of structs without bytes could be endless."""
         self.steps -= 1
         if self.steps < 0:
             raise CdrError("a message states far more values than it has bytes")
@@ -227,7 +225,7 @@ def _struct(
         return {}
     texts: dict[str, str] = {}
     keys: list[str] = []  # names of the elements of sequences in this struct
-    if not types[name]:  # an empty type is one byte
+    if not types[name]:  # an empty type takes one byte
         reader.one("B")
     for field in types[name]:
         reader.step()
@@ -282,7 +280,7 @@ def _element(
     out: dict[str, float],
     depth: int,
 ) -> None:
-    """One struct of a sequence, called by its own name if it has one."""
+    """Read one struct of a sequence, named by its own name field if it has one."""
     own: dict[str, float] = {}
     texts = _nested(field, types, reader, "", own, depth)
     key = next(

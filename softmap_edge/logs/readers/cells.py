@@ -1,4 +1,4 @@
-"""Cut a line of a text log into cells; decide if a cell is number, time, unit or name."""
+"""Split a line of a text log into cells; classify a cell as number, time, unit or name."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from softmap_edge.logs.unit_words import LENGTH_WORDS
 DELIMITERS = (",", ";", "\t", "|")
 _COMMA_NUMBER = re.compile(r"[+-]?\d+(,\d+)?([eE][+-]?\d+)?")
 _OTHERS = ("", "-", "°", "°c", "degrees", "radians", "n", "ma", "a", "g", "kg")
-_UNITS = {*LENGTH, *TIME, *ANGLE, *_OTHERS}  # what a line of units holds
+_UNITS = {*LENGTH, *TIME, *ANGLE, *_OTHERS}  # possible cells of a line of units
 _BRACKETS = "[](){}"
 
 
 def split(line: str, delimiter: str) -> list[str]:
-    """Return the cells of one line, stripped; [] if it is no CSV."""
+    """Return the stripped cells of one line; [] if it is not CSV."""
     if '"' not in line:
         return [
             cell.strip()
@@ -36,7 +36,7 @@ def split(line: str, delimiter: str) -> list[str]:
 
 
 def trimmed(cells: list[str]) -> list[str]:
-    """Return the cells without the empty ones at the end."""
+    """Return the cells without empty ones at the end."""
     end = len(cells)
     while end and not cells[end - 1]:
         end -= 1
@@ -44,10 +44,10 @@ def trimmed(cells: list[str]) -> list[str]:
 
 
 def find_delimiter(line: str) -> str:
-    """Return the delimiter that gives the most cells; a space only if no other delimiter occurs.
+    """Return the delimiter that gives the most cells; a space only if there is no other.
 
-    Between numbers with decimal commas there are more commas than delimiters: the delimiter does
-    not cut such numbers.
+    Numbers with decimal commas contain more commas than delimiters, so the delimiter must not split
+    them.
     """
     for mark in (";", "\t", "|", " "):
         cells = [cell for cell in split(line, mark) if cell] if "," in line else []
@@ -60,7 +60,7 @@ def find_delimiter(line: str) -> str:
 def is_number(cell: str) -> bool:
     """Return whether a cell is a number.
 
-    It has a decimal point or comma, or clear groups of digits.
+    It may have a decimal point or comma, or clear groups of digits.
     """
     return is_plain(cell.replace(",", ".")) or grouping_of(cell) is not None
 
@@ -68,7 +68,7 @@ def is_number(cell: str) -> bool:
 def is_plain(cell: str) -> bool:
     """Return whether a cell is a number with a decimal point.
 
-    Python's `1_000` is a name or a fault of the file.
+    Python's `1_000` counts as a name or a fault of the file.
     """
     try:
         float(cell)
@@ -89,7 +89,7 @@ def unit_of(cell: str) -> str:
 
 
 def is_unit(cell: str) -> bool:
-    """Return whether a cell of a line is a unit that is known, or stands in brackets."""
+    """Return whether a cell is a known unit, or is in brackets."""
     return unit_of(cell) in _UNITS or (
         len(cell) > 2 and cell[0] in _BRACKETS and cell[-1] in _BRACKETS
     )

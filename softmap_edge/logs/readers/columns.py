@@ -1,4 +1,4 @@
-"""What every reader of a log gives: named columns whose cells are read when they are asked for."""
+"""The interface of all log readers: named columns, with cells that are read on request."""
 
 from __future__ import annotations
 
@@ -17,16 +17,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Cells:
-    """The columns that were asked for; an absent cell is NaN.
+    """The requested columns; a missing cell is NaN.
 
     Attributes:
         numbers: (rows, columns).
-        labels: (rows,) text of the column of labels, if one was asked for.
-        lines: (rows,) the line (or frame, or message) of the file that holds each row, for
-            messages.
-        notes: what the reader did, a sentence each.
-        rows: (rows,) the number of each row in its log, from 0; None before any row was left out.
-        doubts: what looks wrong, a sentence each.
+        labels: (rows,) text of the label column, if requested.
+        lines: (rows,) line (or frame, or message) of the file for each row, used in messages.
+        notes: sentences on what the reader did.
+        rows: (rows,) number of each row in its log, from 0; None until a row is left out.
+        doubts: sentences on suspicious findings.
     """
 
     numbers: Array
@@ -38,19 +37,19 @@ class Cells:
 
 
 class Columns(Protocol):
-    """One log, opened: its columns are known, its cells not yet read."""
+    """An open log: its columns are known, its cells not yet read."""
 
     @property
     def names(self) -> list[str]:
-        """The columns, in the file's order."""
+        """The names of the columns, in the file's order."""
 
     @property
     def units(self) -> dict[str, str]:
-        """The unit of a column, where the file states it: `mm`, `m`, …"""
+        """The units of columns, where the file states them: `mm`, `m`, …"""
 
     @property
     def where(self) -> str:
-        """What a row is called in this file: line, frame or message."""
+        """The word for a row in this file: line, frame or message."""
 
     @property
     def clocks(self) -> dict[int, TimeText]:
@@ -58,30 +57,27 @@ class Columns(Protocol):
 
     @property
     def head_line(self) -> int | None:
-        """The number of the line that names the columns; None where no line does."""
+        """The line number of the column names; None if there are none."""
 
     def read(self, places: list[int], label: int | None = None, rows: int | None = None) -> Cells:
-        """Return the cells of some columns by their positions; `rows` ends the reading early."""
+        """Return the cells of columns by position; `rows` limits the number of rows read."""
 
 
 def quiet(numbers: Array) -> Array:
-    """Replace signalling NaNs by ordinary ones, in place; return the numbers.
-
-    Damaged bytes may hold signalling ones.
-    """
+    """Replace signalling NaNs of damaged bytes by ordinary ones, in place; return the numbers."""
     numbers[np.isnan(numbers)] = np.nan
     return numbers
 
 
 def as_floats(values: object) -> Array:
-    """Return numbers as float64; signalling NaNs, as of damaged bytes, are NaN, unwarned."""
+    """Return numbers as float64; signalling NaNs of damaged bytes become NaN without a warning."""
     with np.errstate(invalid="ignore"):
         return np.asarray(values, np.float64)
 
 
 @dataclass(frozen=True)
 class HeldColumns:
-    """Columns that a reader of a binary format has in memory already."""
+    """Columns of a binary format that the reader already holds in memory."""
 
     path: Path
     names: list[str]
@@ -93,12 +89,12 @@ class HeldColumns:
 
     @property
     def clocks(self) -> dict[int, TimeText]:
-        """Its columns of dates or times as text: none."""
+        """Columns of dates or times as text: none."""
         return {}
 
     @property
     def head_line(self) -> None:
-        """The number of the line that names the columns: there is none."""
+        """Line number of the column names: none."""
 
     def read(self, places: list[int], label: int | None = None, rows: int | None = None) -> Cells:
         """Return the cells of some columns."""

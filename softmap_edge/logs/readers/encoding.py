@@ -1,8 +1,8 @@
 """Find a text log's encoding: UTF-8, -16, -32, or Windows-1252 (latin-1) if clear.
 
-UTF-16 and UTF-32 are recognised without a byte order mark as well: next to nearly each letter there
-are zero bytes, always on the same side. A file that was cut within its last character is read up to
-it. Pinned by tests/logs/test_encoding.py and tests/logs/test_wide_encoding.py.
+UTF-16 and UTF-32 are also recognised without a byte order mark: nearly every letter has zero bytes
+next to it, always on the same side. A file truncated within its last character is read up to that
+character. Pinned by tests/logs/test_encoding.py and tests/logs/test_wide_encoding.py.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 from softmap_edge.errors import RunError
 
 _BLOCK = 2**22  # bytes read at a time
-_HEAD = 4096  # bytes that identify UTF-16 and UTF-32
+_HEAD = 4096  # bytes tested for UTF-16 and UTF-32
 _MARKS = (
     (codecs.BOM_UTF32_LE, "utf-32"),
     (codecs.BOM_UTF32_BE, "utf-32"),
@@ -24,10 +24,10 @@ _MARKS = (
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
 PLAIN = "utf-8-sig"
-_MOST = 0.9  # of the letters: so many have a zero byte
-# no text in Windows-1252
+_MOST = 0.9  # of the letters that must have a zero byte
+# bytes that do not occur in Windows-1252 text
 _UNDEFINED = bytes(range(9)) + bytes(range(14, 32)) + b"\x7f\x81\x8d\x8f\x90\x9d"
-_FOREIGN = 0.1  # of the bytes: a log of numbers holds fewer letters beyond ASCII
+_FOREIGN = 0.1  # of the bytes: a log of numbers has fewer letters beyond ASCII
 
 
 def encoding_of(path: Path) -> tuple[str, str | None]:
@@ -35,7 +35,7 @@ def encoding_of(path: Path) -> tuple[str, str | None]:
 
     Raises:
         OSError: the file cannot be read.
-        RunError: it is text in neither encoding.
+        RunError: it is text in none of these encodings.
     """
     with path.open("rb") as file:
         wide = encoding_of_start(file.read(_HEAD))
@@ -53,7 +53,7 @@ def _encoding(path: Path, changed: int, size: int) -> tuple[str, str | None]:
         while True:
             block = file.read(_BLOCK)
             if not block:
-                # bytes that the decoder still holds are a character that was cut
+                # remaining bytes in the decoder are a truncated character
                 return PLAIN, None
             try:
                 decoder.decode(block)
@@ -68,9 +68,9 @@ def _encoding(path: Path, changed: int, size: int) -> tuple[str, str | None]:
 
 
 def _other(path: Path, line: int, byte: int) -> tuple[str, str | None]:
-    """Return the encoding of a file that is no UTF-8 at a line and byte.
+    """Return the encoding of a file that is not UTF-8 at a line and byte.
 
-    Leave files with zero bytes to the reader.
+    Files with zero bytes are left to the reader.
     """
     high = size = odd = 0
     with path.open("rb") as file:
@@ -90,7 +90,7 @@ def _other(path: Path, line: int, byte: int) -> tuple[str, str | None]:
 
 
 def encoding_of_start(start: bytes) -> str:
-    """Return the encoding of a text that begins with these bytes."""
+    """Return the encoding of a text from its first bytes."""
     for mark, name in _MARKS:
         if start.startswith(mark):
             return name
@@ -111,16 +111,16 @@ def encoding_of_start(start: bytes) -> str:
 
 
 def decoded(path: Path, encoding: str, size: int) -> Iterator[str]:
-    """Yield a file's text up to its last complete character, with `\\n` as line ends.
-
-    The text comes in pieces.
+    """Yield a file's text in pieces up to its last complete character, with `\\n` as line ends.
 
     Args:
-        path: the file. encoding: from `encoding_of`. size: bytes read at a time.
+        path: the file.
+        encoding: from `encoding_of`.
+        size: bytes read at a time.
 
     Raises:
         OSError: the file cannot be read.
-        UnicodeDecodeError: it holds bytes that are no text in this encoding.
+        UnicodeDecodeError: it holds bytes that are invalid in this encoding.
     """
     decoder = io.IncrementalNewlineDecoder(codecs.getincrementaldecoder(encoding)(), translate=True)
     with path.open("rb") as file:
@@ -156,5 +156,5 @@ def is_cut(path: Path) -> bool:
 
 
 def is_wide(encoding: str) -> bool:
-    """Whether an encoding has zero bytes in ordinary text."""
+    """Return whether ordinary text in an encoding has zero bytes."""
     return encoding.startswith(("utf-16", "utf-32"))

@@ -1,9 +1,7 @@
-"""Check a text log's end: lines below the table, and a cut last cell.
+"""Check a text log's end: lines below the table, and a truncated last cell.
 
-The last line was then cut within its last cell.
-
-Many programs write no line end after the last row, so a missing one alone shows nothing. The last
-cell is doubtful if it is shorter than all cells of its column are. Pinned by
+Many programs write no line end after the last row, so a missing one is no evidence. The last cell
+is doubtful if it is shorter than every other cell of its column. Pinned by
 tests/logs/test_ending.py.
 """
 
@@ -16,15 +14,15 @@ from pathlib import Path
 from softmap_edge.logs.readers.cells import is_number, is_value, split, trimmed
 from softmap_edge.logs.readers.encoding import encoding_of, is_wide
 
-_TAIL = 2**16  # bytes at the end that are looked at
-_MOST = 50  # lines below a table
-_LEAST = 20  # rows that show how a column is written
-RECENT = 200  # rows that are compared with the last one
+_TAIL = 2**16  # bytes at the end that are examined
+_MOST = 50  # lines below a table at most
+_LEAST = 20  # rows that show the format of a column
+RECENT = 200  # rows compared with the last one
 _MARK = re.compile(r"[.,]")
 
 
 def last_lines(path: Path) -> list[str]:
-    """Return the complete lines among the last bytes of a text file, or all of a small one.
+    """Return the complete lines among the last bytes of a text file, or all lines of a small one.
 
     Raises:
         OSError: the file cannot be read.
@@ -40,14 +38,14 @@ def last_lines(path: Path) -> list[str]:
 
 
 def lines_below(path: Path, delimiter: str, width: int, fewest: int | None = None) -> list[str]:
-    """Return the lines below a table: `End of data`, `Total rows,600`; [] without any.
+    """Return the lines below a table, such as `End of data` or `Total rows,600`; [] if none.
 
     Args:
         path: the log.
         delimiter: the separator of cells.
         width: cells of a row.
-        fewest: cells of the shortest row; a last row with fewer was cut, and counts as no row. None
-            keeps it.
+        fewest: cells of the shortest row; a last row with fewer is truncated and does not count.
+            None keeps it.
     """
     lines = last_lines(path)
     while lines and not lines[-1].strip():
@@ -64,14 +62,14 @@ def lines_below(path: Path, delimiter: str, width: int, fewest: int | None = Non
         and (not cells[end - 1] or _is_remark(cells[end - 1], width, named))
     ):
         end -= 1
-    # the reader leaves remarks out
+    # the reader leaves out remarks
     while end < len(lines) and lines[end].strip()[:1] in ("", "#", "%"):
         end += 1
     return lines[end:] if end > 0 and len(firsts) > 1 else []
 
 
 def _is_remark(row: list[str], width: int, named: bool) -> bool:
-    """Whether cells are a remark and no row; a row that was cut has values."""
+    """Return whether cells are a remark, not a row; a truncated row has values."""
     first = next(cell for cell in row if cell)
     word = (
         not is_value(first) and any(c.isalpha() for c in first) and first[0] not in "+-.0123456789"
@@ -82,11 +80,11 @@ def _is_remark(row: list[str], width: int, named: bool) -> bool:
 
 
 def cut_within(path: Path, rows: Sequence[str], delimiter: str) -> str | None:
-    """Return the last cell of a log if the file seems to end within it; None if nothing shows that.
+    """Return a log's last cell if the file seems to end within it, else None.
 
     Args:
         path: the log.
-        rows: its last lines, the last row at the end.
+        rows: its last lines, ending with the last row.
         delimiter: the separator of cells.
     """
     if len(rows) <= _LEAST or _ends_with_line(path):
@@ -108,7 +106,7 @@ def cut_within(path: Path, rows: Sequence[str], delimiter: str) -> str | None:
 
 
 def _decimals(cell: str) -> int:
-    """Return the characters after the decimal mark, an exponent among them."""
+    """Return the number of characters after the decimal mark, including an exponent."""
     parts = _MARK.split(cell)
     return len(parts[-1]) if len(parts) > 1 else 0
 

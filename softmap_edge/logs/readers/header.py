@@ -1,10 +1,10 @@
-"""Find where a text log's table begins: delimiter, line of names, units, first row.
+"""Find the start of a text log's table: delimiter, line of names, units, first row.
 
 Loggers and vendors write lines of all kinds above the names. The table is the longest stretch of
-rows of one width that are mostly numbers or times; its names are the last line of text above it
-that is as wide as the rows (a line of units below the names apart). Names over several columns
-(`tip` above `X, Y, Z`) go in front of those below them. A first line that looks like the rows below
-it is a row: text in it stands only where the rows have text.
+rows of one width that are mostly numbers or times. Its names are the last line of text above it
+that is as wide as the rows (not counting a line of units). Names that span several columns (`tip`
+above `X, Y, Z`) become prefixes of the names below. A first line that resembles the rows below is a
+row: it has text only where the rows have text.
 
 Only the first lines are searched (`LINES`, `CHARACTERS`), however long the file is. Comments and
 blank lines do not count among `LINES`. Pinned by tests/logs/test_header.py.
@@ -21,20 +21,20 @@ from softmap_edge.errors import RunError
 from softmap_edge.logs.readers.cells import DELIMITERS, is_unit, is_value, split, trimmed, unit_of
 from softmap_edge.logs.readers.lines import blocks
 
-LINES = 1000  # in which the table must begin
-CHARACTERS = 2**20  # of these lines, but never fewer than `LEAST` lines
+LINES = 1000  # lines in which the table must begin
+CHARACTERS = 2**20  # of these lines, but always at least `LEAST` lines
 LEAST = 8
 # columns of a text log: a robot has a few hundred, and each cell of the first lines costs 10 us
 MOST_COLUMNS = 50_000
 _LOOKED = 20  # rows below a line that decide whether it is a row as well
 _COMMON = 0.05  # of the rows: a width that so many have is no accident
 _NEAR = 3  # lines of text above a line of units or types that may hold the names
-_SPARE = 3  # names more than cells: columns that are empty in every row, as comments are
+_SPARE = 3  # surplus of names over cells: columns that are always empty, such as comments
 
 
 @dataclass(frozen=True)
 class Table:
-    """The head of a table.
+    """The header of a table.
 
     Attributes:
         delimiter: the separator of cells.
@@ -61,7 +61,7 @@ class Table:
 
 @dataclass(frozen=True)
 class _Line:
-    """One line: its cells, and whether it is a row, text, a comment, or nothing."""
+    """One line: its cells, and whether it is a row, text, a comment, or blank."""
 
     cells: list[str]
     kind: str  # row, text, comment, blank
@@ -119,12 +119,12 @@ def table_lines(path: Path, skipped: int) -> list[str]:
 
 
 def find_table(lines: list[str], delimiter: str | None, absent: Collection[str]) -> Table | None:
-    """Return where the table of these first lines begins; None if no line looks like a row.
+    """Return the table that begins in these lines; None if no line resembles a row.
 
     Args:
         lines: the first lines of a log.
         delimiter: the separator of cells; None to find it.
-        absent: words (lower case) that stand for a cell without a value.
+        absent: words (lower case) for a missing value.
     """
     best: tuple[tuple[float, ...], Table] | None = None
     for mark in [delimiter] if delimiter else _marks(lines):
@@ -145,7 +145,7 @@ def find_table(lines: list[str], delimiter: str | None, absent: Collection[str])
 
 
 def _marks(lines: list[str]) -> list[str]:
-    """Return the possible delimiters of these lines, the most likely first."""
+    """Return the possible delimiters of these lines, most likely first."""
     marks = [mark for mark in DELIMITERS if any(mark in line for line in lines)]
     return marks + [" "] * any(" " in line.strip() for line in lines) or [","]
 
@@ -168,7 +168,7 @@ def _line(line: str, mark: str, absent: Collection[str]) -> _Line:
 def _width(lines: list[_Line]) -> int:
     """Return the number of cells of a row.
 
-    Of the widths that many rows have the largest, without columns that are empty in all of them.
+    It is the largest frequent width, without columns that are empty in all of these rows.
     """
     counts = Counter(len(line.cells) for line in lines if line.kind == "row")
     most, enough_rows = max(counts.values()), max(2.0, _COMMON * counts.total())
@@ -178,14 +178,14 @@ def _width(lines: list[_Line]) -> int:
 
 
 def _shorter(lines: list[_Line], width: int) -> set[int]:
-    """The widths of rows that leave out empty cells at the end: those of many rows of a table."""
+    """Return the frequent widths of rows without their empty last cells."""
     counts = Counter(len(line.cells) for line in lines if line.kind == "row")
     least = max(2.0, _COMMON * counts.total())
     return {w for w, count in counts.items() if 1 < w < width and count >= least}
 
 
 def _full(line: _Line, width: int) -> bool:
-    """Whether a row has cells of its own in no column beyond the table's, and is not cut."""
+    """Return whether a row is not truncated and has no values beyond the table's columns."""
     return len(line.cells) >= width >= len(trimmed(line.cells))
 
 
@@ -205,7 +205,7 @@ def _table(lines: list[_Line], mark: str) -> Table | None:
 
 
 def _first_of(lines: list[_Line], k: int, width: int) -> int:
-    """The first of the rows that lead to a row: rows above may lack empty last cells."""
+    """Return the first row of the block that contains row `k`; its last cells may be missing."""
     short = _shorter(lines[k:], width) if k and lines[k - 1].kind == "row" else set()
     while k and lines[k - 1].kind == "row" and len(lines[k - 1].cells) in short:
         k -= 1
@@ -213,7 +213,7 @@ def _first_of(lines: list[_Line], k: int, width: int) -> int:
 
 
 def _opens(lines: list[_Line], k: int) -> bool:
-    """Whether a row is the first below a line of text, blank lines and comments apart."""
+    """Return whether a row follows a line of text, ignoring blank lines and comments."""
     above = k - 1
     while above >= 0 and lines[above].kind in ("blank", "comment"):
         above -= 1
@@ -221,14 +221,14 @@ def _opens(lines: list[_Line], k: int) -> bool:
 
 
 def _end(starts: dict[int, int | None], k: int) -> int:
-    """The next row that opens a table with names of its own."""
+    """Return the next row that starts a table with its own names."""
     return min(
         (other for other, names in starts.items() if other > k and names is not None), default=10**9
     )
 
 
 def _names_above(lines: list[_Line], first: int, width: int) -> int | None:
-    """The line of names above a row: the last text line as wide as rows, not of units."""
+    """Return the line of names above a row: the last text line as wide as rows, not of units."""
     k = first - 1
     seen = None
     while k >= 0 and lines[k].kind != "row":
@@ -241,14 +241,14 @@ def _names_above(lines: list[_Line], first: int, width: int) -> int | None:
 
 
 def _wide(cells: list[str], width: int) -> bool:
-    """Whether a line names rows of some width; further cells are empty (`_head` checks)."""
+    """Return whether a line has names for rows of this width (`_head` checks further cells)."""
     count = len(trimmed(cells))
     spare = _SPARE if width > _SPARE else 1
     return len(cells) == width or max(min(width, 2), width // 2) <= count <= width + spare
 
 
 def _units_below(lines: list[_Line], k: int) -> bool:
-    """Return whether a line holds units (or types) of the names above it."""
+    """Return whether a line holds units (or types) for the names above it."""
     cells = trimmed(lines[k].cells)
     filled = [cell for cell in cells if cell]
     if not filled:
@@ -264,7 +264,7 @@ def _units_below(lines: list[_Line], k: int) -> bool:
 
 
 def _names_these(own: list[str], cells: list[str]) -> bool:
-    """Whether a line has distinct names for a line's cells below; the first may lack one."""
+    """Return whether a line has distinct names for the cells below; the first may be missing."""
     filled = [name for name in own if name]
     if (
         len(own) < len(cells)
@@ -278,14 +278,14 @@ def _names_these(own: list[str], cells: list[str]) -> bool:
 def _head(
     lines: list[_Line], first: int, width: int, fewest: int, mark: str, rows: list[int]
 ) -> Table:
-    """The table whose first row is known; `rows` are those of full width."""
+    """Return the table with a known first row; `rows` are those of full width."""
     bare = Table(mark, None, first, None, width, fewest)
     header = _names_above(lines, first, width)
     if header is None:
         return _bare_head(lines, bare, rows)
     own = trimmed(lines[header].cells)
     comment = _comment_above(lines, header, width) if all(map(is_unit, own)) else None
-    if comment is not None:  # as numpy writes it, with a line of units below
+    if comment is not None:  # as numpy writes it, perhaps with a line of units below
         own, header = trimmed(lines[comment].cells), comment
     if len(own) < width:  # the last column has no name, or names are missing
         own = lines[header].cells[:width]
@@ -304,12 +304,12 @@ def _head(
 
 
 def _units_of(names: list[str], cells: list[str]) -> dict[str, str]:
-    """Return the known units of a line, by the names of their columns."""
+    """Return the known units of a line, by column name."""
     return {name: unit_of(cell) for name, cell in zip(names, cells) if cell and is_unit(cell)}
 
 
 def _units_above(names: list[str], above: _Line) -> dict[str, str]:
-    """Return the units of a line above the names; {} if it holds something else."""
+    """Return the units in a line above the names; {} if it holds something else."""
     filled = [cell for cell in above.cells if cell]
     full = (
         above.kind == "text"
@@ -324,7 +324,7 @@ def _units_above(names: list[str], above: _Line) -> dict[str, str]:
 
 
 def _bare_head(lines: list[_Line], bare: Table, rows: list[int]) -> Table:
-    """The table below no line of text: a comment or the first row may name its columns."""
+    """Return the table without a text line above: a comment or the first row may hold the names."""
     first, width = bare.first, bare.width
     comment = _comment_above(lines, first, width)
     if comment is not None:
@@ -342,16 +342,13 @@ def _bare_head(lines: list[_Line], bare: Table, rows: list[int]) -> Table:
 
 
 def _counts(rows: list[list[str]]) -> bool:
-    """Whether the first row is the numbers of the columns, as pandas writes them.
-
-    The next one is then not like it.
-    """
+    """Return whether the first row only numbers the columns, as pandas writes it."""
     count = [str(k) for k in range(len(rows[0]))]
     return len(count) > 2 and rows[0] == count and any("." in cell for cell in rows[1])
 
 
 def _comment_above(lines: list[_Line], first: int, width: int) -> int | None:
-    """The last comment above a row, where it names its columns."""
+    """Return the last comment above a row, if it names the columns."""
     comments = [k for k in range(first - 1, -1, -1) if lines[k].kind == "comment"]
     comment = next((k for k in comments if not all(map(is_unit, trimmed(lines[k].cells)))), None)
     if (
@@ -364,7 +361,7 @@ def _comment_above(lines: list[_Line], first: int, width: int) -> int | None:
 
 
 def _is_names(line: list[str], below: list[list[str]]) -> bool:
-    """Whether a line with numbers in it holds names: text where the rows below have numbers."""
+    """Return whether a line with some numbers holds names: text above numbers in the rows."""
     for column, cell in enumerate(line):
         if cell and any(c.isalpha() for c in cell) and not is_value(cell):
             under = [row[column] for row in below if column < len(row) and row[column]]
@@ -374,10 +371,10 @@ def _is_names(line: list[str], below: list[list[str]]) -> bool:
 
 
 def _grouped(names: list[str], above: _Line | None) -> list[str]:
-    """Names with the group above them: `tip` over `X, Y, Z` gives `tip.X`, `tip.Y`, `tip.Z`.
+    """Return names prefixed by the group above: `tip` over `X, Y, Z` gives `tip.X`, `tip.Y`, ….
 
-    A group stands above its first column; the line begins with an empty cell, or the names alone
-    are not distinct.
+    A group stands above its first column. Either the line begins with an empty cell, or the names
+    alone are not distinct.
     """
     top = [] if above is None or above.kind != "text" else trimmed(above.cells)
     if above is None or not top or len(top) > len(names):

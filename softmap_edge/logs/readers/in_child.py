@@ -1,6 +1,4 @@
-"""Run a parser of a foreign format on a log of unknown origin, in a child process.
-
-Its memory and time are limited.
+"""Run a third-party parser on an untrusted log in a child process with limited memory and time.
 
 A fault of the parser becomes one RunError. Pinned by tests/logs/test_read_in_child.py.
 """
@@ -20,15 +18,15 @@ from softmap_edge.files.atomic import Document
 from softmap_edge.files.child import ChildFault, ChildLate, ChildMemory, in_child
 
 Array = NDArray[np.float64]
-MEGABYTES = 1024  # that a parser may take
+MEGABYTES = 1024  # memory limit of a parser
 MOST = 2**25  # numbers of one file: a million rows of 32 columns, 256 MiB
-SECONDS = 2.5  # of processor time for a small file
-PER_SECOND = 2**22  # bytes of a file that a parser reads in a second, at least
+SECONDS = 2.5  # s of processor time for a small file
+PER_SECOND = 2**22  # bytes per second that a parser reads, at least
 
 
 @dataclass
 class Answer:
-    """What a parser found.
+    """The result of a parser.
 
     Attributes:
         arrays: numbers by name, of any shape.
@@ -51,7 +49,7 @@ def read_in_child(
         arguments: of the parser.
 
     Raises:
-        RunError: the parser refuses the file, fails, crashes, or takes too much memory or time.
+        RunError: the parser rejects the file, fails, crashes, or exceeds its memory or time.
     """
     seconds = SECONDS + path.stat().st_size / PER_SECOND
     try:

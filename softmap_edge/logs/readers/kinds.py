@@ -1,4 +1,4 @@
-"""Find a log's format by its first bytes; for one that is not read, name it and the remedy.
+"""Detect a log's format from its first bytes; report unsupported formats with a remedy.
 
 The file name decides only if the bytes do not (.c3d, .trc, .mat of MATLAB 4). Pinned by
 tests/logs/test_formats.py.
@@ -20,13 +20,13 @@ from softmap_edge.logs.readers.rosbag_sqlite import MAGIC as SQLITE
 from softmap_edge.logs.readers.typed_rows import is_typed
 from softmap_edge.logs.readers.vendor_text import is_lvm, is_nexus, is_qtm
 
-RECORDINGS = ("mcap", "db3")  # several topics, stamped with the time of recording
+RECORDINGS = ("mcap", "db3")  # several topics, with the time of recording
 ARRAYS = ("npz", "npy", "mat", "hdf5", "parquet")
 PACKED = ("zstd", "gzip")
 BINARY = (*RECORDINGS, *ARRAYS, "c3d")
 HDF5 = b"\x89HDF\r\n\x1a\n"
 _HEAD = 4096  # bytes of a file that are tested
-_SURE = 8  # letters with which a text hardly begins
+_SURE = 8  # letters that text hardly begins with
 _READ: tuple[tuple[bytes, str], ...] = (
     (MAGIC, "mcap"),
     (SQLITE, "db3"),
@@ -54,7 +54,7 @@ _SHEET = "save the sheet as CSV"
 _PACK = "unpack it and give the log inside"
 _CONVERT = "export its signals as CSV or MCAP"
 _PICTURE = "a picture or video, no log; give the log of the recording"
-# Formats that are not read: first bytes, name and remedy.
+# unsupported formats: first bytes, name and remedy
 _FOREIGN: tuple[tuple[bytes, str], ...] = (
     (b"#ROSBAG V", _BAG),
     (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", f"an old spreadsheet or document (.xls): {_SHEET}"),
@@ -97,9 +97,9 @@ def kind_of(path: Path) -> str:
         lvm, typed and csv.
 
     Raises:
-        RunError: it cannot be read, or is of a format that is not read here.
+        RunError: it cannot be read, or has an unsupported format.
     """
-    if path.exists() and not path.is_file():  # a pipe would be waited for
+    if path.exists() and not path.is_file():  # opening a pipe would block
         raise RunError(
             f"{path}: {'a folder' if path.is_dir() else 'no file'}; give the path of a log"
         )
@@ -137,7 +137,7 @@ def _decoded(start: bytes) -> str:
 
 
 def _refuse_foreign(path: Path, start: bytes) -> None:
-    """Raise RunError with the name of a format that is not read."""
+    """Raise RunError with the name of an unsupported format."""
     for magic, what in _FOREIGN:
         if start.startswith(magic) and not _like_text(magic, start):
             raise _not_read(path, what)
@@ -154,7 +154,7 @@ def _refuse_foreign(path: Path, start: bytes) -> None:
 
 
 def _like_text(magic: bytes, start: bytes) -> bool:
-    """Whether a file may be text that starts with a format's word.
+    """Return whether a file that starts with a format's magic word may be text.
 
     A column may be called `PAR1` or `LOGGED`.
     """
@@ -177,14 +177,14 @@ def _checked_mcap(path: Path, start: bytes) -> str:
 
 
 def _of_zip(path: Path) -> str:
-    """Return `npz`; raise RunError for another kind of archive."""
+    """Return `npz`; raise RunError for any other zip archive."""
     try:
         check_directory(path, RunError)
         with zipfile.ZipFile(path) as archive:
             names = archive.namelist()[:1000]
     except RunError:
         raise
-    except Exception as fault:  # zipfile raises a dozen kinds on damaged files
+    except Exception as fault:  # damaged files raise a dozen kinds in zipfile
         if path.suffix.lower() == ".npz":
             return "npz"
         raise RunError(

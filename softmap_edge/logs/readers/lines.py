@@ -1,6 +1,6 @@
-"""Read the lines of a text log, block by block, in the encoding that its first bytes show.
+"""Read the lines of a text log block by block, in the encoding detected from its first bytes.
 
-A file that is too large, no text, or damaged is refused with the reason and the remedy. Pinned by
+A file that is too large, damaged or not text is rejected with the reason and the remedy. Pinned by
 tests/logs/test_import_csv.py.
 """
 
@@ -16,11 +16,11 @@ from softmap_edge.logs.readers.encoding import PLAIN, decoded, encoding_of, is_w
 LIMIT = 2**30  # bytes of one log: about 5 million rows of 16 columns
 LONGEST = 2**20  # characters of one line: 50 000 columns
 _BLOCK = 2**22  # characters read at a time
-_BLANK = 2**20  # blank lines at the end that are held back together with those to skip
+_BLANK = 2**20  # blank lines at the end that are buffered with those to skip
 
 
 def first_lines(path: Path, count: int, first: int = 1) -> list[str]:
-    """Return at most `count` lines of a text log from line `first` on, fewer if very long."""
+    """Return at most `count` lines of a text log from line `first` on; fewer if they are long."""
     found: list[str] = []
     for _, lines in blocks(path, first):
         found += lines[: count - len(found)]
@@ -30,13 +30,13 @@ def first_lines(path: Path, count: int, first: int = 1) -> list[str]:
 
 
 def lines_of(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield the lines of a text log with their numbers from 1, one pass over the file."""
+    """Yield the lines of a text log with their numbers, from 1, in one pass."""
     for first, lines in blocks(path, 1):
         yield from enumerate(lines, first)
 
 
 def lines_that(path: Path, fits: Callable[[str], bool], most: int = 100) -> list[tuple[int, str]]:
-    """Return the short lines of a text log that fit, at most `most`, with their numbers from 1."""
+    """Return at most `most` short lines of a text log that satisfy `fits`, numbered from 1."""
     found: list[tuple[int, str]] = []
     for number, line in lines_of(path):
         if len(line) < 200 and fits(line):
@@ -47,7 +47,7 @@ def lines_that(path: Path, fits: Callable[[str], bool], most: int = 100) -> list
 
 
 def blocks(path: Path, first: int, stop: int | None = None) -> Iterator[tuple[int, list[str]]]:
-    """The lines from number `first` to before `stop`, in blocks, each with its first number.
+    """Yield blocks of lines from number `first` to before `stop`, each with its first number.
 
     A block has some thousand lines.
     """
@@ -100,13 +100,13 @@ def blocks(path: Path, first: int, stop: int | None = None) -> Iterator[tuple[in
 def held_back(
     blocks: Iterator[tuple[int, list[str]]], count: int
 ) -> Iterator[tuple[int, list[str]]]:
-    """The same lines without the last `count` that are not blank."""
+    """Yield the same blocks without the last `count` lines that are not blank."""
     held: list[str] = []
     start = 1
     for first, lines in blocks:
         start = start if held else first
         held += lines
-        # blank lines at the end are not counted among them
+        # blank lines at the end do not count
         keep = count + (_blank_at_end(held) if count else 0)
         if len(held) > keep:
             yield start, held[: len(held) - keep]
@@ -118,6 +118,6 @@ def held_back(
 
 
 def _blank_at_end(lines: list[str]) -> int:
-    """How many lines at the end are blank, at most `_BLANK`."""
+    """Return the number of blank lines at the end, at most `_BLANK`."""
     blank = takewhile(lambda line: not line.strip(), islice(reversed(lines), _BLANK))
     return sum(1 for _ in blank)

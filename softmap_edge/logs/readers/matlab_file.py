@@ -1,12 +1,11 @@
 """Read the arrays of a MATLAB file in a child process.
 
-v4 to v7 by scipy, v7.3 and other HDF5 files by h5py.
-
-Arrays of numbers, and those in structs and groups, by their path: `u`, `log.time`,
-`log.signals[0].values`. Values without plain numbers (tables, timetables, timeseries, other
-objects, functions, cells) are left out and named. Links to other files, data kept outside and
-filters that HDF5 would load are not followed. zlib's checksums are checked, and those of HDF5 where
-the file has them.
+v4 to v7 are read with scipy, v7.3 and other HDF5 files with h5py. Arrays of numbers, also within
+structs and groups, are named by their path: `u`, `log.time`, `log.signals[0].values`. Values
+    without
+plain numbers (tables, timetables, timeseries, other objects, functions, cells) are left out and
+listed. Links to other files, external data and dynamically loaded HDF5 filters are not followed.
+zlib's checksums are checked, and those of HDF5 where present.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
     from h5py import Dataset, Group
 
 LIMIT = 2**30  # bytes of one file
-_DEEPEST = 8  # structs within structs
+_DEEPEST = 8  # nested structs
 _ENTRIES = 4096  # arrays, structs and groups of one file
 _STRUCTS = 256  # elements of an array of structs
 _EXPORT = "save its numbers as arrays (for a timetable: t = seconds(tt.Time); u = tt.u;)"
@@ -39,8 +38,8 @@ def open_matlab(path: Path) -> ArrayColumns:
     """Read a MATLAB file of v4 to v7.
 
     Raises:
-        RunError: scipy is not installed, the file is damaged or too large, or nothing in it is a
-            column of numbers.
+        RunError: scipy is not installed, the file is damaged or too large, or it holds no column of
+                numbers.
     """
     return _opened(path, "MATLAB file", read_v7)
 
@@ -49,8 +48,8 @@ def open_hdf5(path: Path) -> ArrayColumns:
     """Read a MATLAB file of v7.3 or another HDF5 file.
 
     Raises:
-        RunError: h5py is not installed, the file is damaged or too large, or nothing in it is a
-            column of numbers.
+        RunError: h5py is not installed, the file is damaged or too large, or it holds no column of
+            numbers.
     """
     return _opened(path, "HDF5 file", read_hdf5)
 
@@ -70,7 +69,7 @@ def _opened(path: Path, what: str, parse: Callable[[Path], Answer]) -> ArrayColu
 
 
 class _Found:
-    """The findings of a walk through a file."""
+    """The results of traversing a file."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -80,7 +79,7 @@ class _Found:
         self.numbers = self.entries = 0
 
     def enter(self, depth: int) -> None:
-        """Count an entry; raise RunError where a file holds too many, or nests them too deeply."""
+        """Count an entry; raise RunError if a file has too many or nests them too deeply."""
         self.entries += 1
         if depth > _DEEPEST or self.entries > _ENTRIES:
             raise RunError(
@@ -89,7 +88,7 @@ class _Found:
             )
 
     def number(self, count: int) -> None:
-        """Count numbers before they are read; raise RunError where a file holds too many."""
+        """Count numbers before they are read; raise RunError if a file holds too many."""
         self.numbers += count
         if self.numbers > MOST:
             raise RunError(
@@ -97,20 +96,21 @@ class _Found:
             )
 
     def leave(self, name: str, why: str) -> None:
-        """Note that a variable is left out."""
+        """Record that a variable is left out."""
         self.left_out.append(f"{name} ({why})")
 
     def answer(self) -> Answer:
-        """Return it as the child's answer."""
+        """Return the results as the child's answer."""
         document = {"texts": self.texts, "left_out": self.left_out[:100]}
         return Answer(dict(self.arrays), document)
 
 
 # --- v4 to v7, in the child ----------------------------------------------------------------
 def read_v7(path: Path) -> Answer:
-    """Read every array of numbers of a MATLAB file; runs in the child.
+    """Read every array of numbers in a MATLAB file; runs in the child.
 
-    Raises RunError as `open_matlab`.
+    Raises:
+        RunError: as `open_matlab`.
     """
     try:
         import scipy.io
@@ -137,7 +137,7 @@ def read_v7(path: Path) -> Answer:
 
 
 def _take(name: str, value: Any, found: _Found, depth: int) -> None:
-    """Take one value of a file: numbers, text, or a struct of them."""
+    """Add one value of a file: numbers, text, or a struct of these."""
     found.enter(depth)
     kind = type(value).__name__
     if kind != "ndarray":
@@ -160,7 +160,7 @@ def _take(name: str, value: Any, found: _Found, depth: int) -> None:
 
 def _class_of(value: Any, kind: str) -> str:
     name = getattr(value, "classname", None)
-    # as scipy gives what it cannot open
+    # scipy's form of values that it cannot open
     if name is None and "s2" in (value.dtype.names or ()) and value.size:
         name = value.reshape(-1)[0]["s2"]
     text = (
@@ -174,7 +174,7 @@ def _class_of(value: Any, kind: str) -> str:
 
 
 def _take_struct(name: str, value: NDArray[np.void], found: _Found, depth: int) -> None:
-    """Take the fields of a struct, or of each of an array of structs."""
+    """Add the fields of a struct, or of each element of an array of structs."""
     if value.size > _STRUCTS:
         found.leave(name, f"{value.size} structs")
         return
@@ -185,7 +185,7 @@ def _take_struct(name: str, value: NDArray[np.void], found: _Found, depth: int) 
 
 
 def _take_cells(name: str, value: NDArray[np.generic], found: _Found) -> None:
-    """Take cells of texts as a column of labels; leave out others."""
+    """Add cells of texts as a label column; leave out others."""
     cells = [_cell_text(cell) for cell in value.reshape(-1)] if value.size < MOST // 32 else [None]
     if (
         value.size > 1
@@ -205,9 +205,10 @@ def _cell_text(cell: object) -> str | None:
 
 # --- HDF5, in the child --------------------------------------------------------------------
 def read_hdf5(path: Path) -> Answer:
-    """Read every array of numbers of an HDF5 file; runs in the child.
+    """Read every array of numbers in an HDF5 file; runs in the child.
 
-    Raises RunError as `open_hdf5`.
+    Raises:
+        RunError: as `open_hdf5`.
     """
     try:
         import h5py
@@ -226,10 +227,10 @@ def read_hdf5(path: Path) -> Answer:
 def _take_group(
     h5py: ModuleType, name: str, group: Group, found: _Found, depth: int, matlab: bool
 ) -> None:
-    """Take what a group links to, without links out of it."""
+    """Add the contents of a group, without following links out of it."""
     for key in group:
         here = f"{name}.{key}" if name else key
-        if matlab and key.startswith("#"):  # MATLAB's own bookkeeping
+        if matlab and key.startswith("#"):  # MATLAB's internal data
             continue
         found.enter(depth)
         if not isinstance(group.get(key, getlink=True), h5py.HardLink):

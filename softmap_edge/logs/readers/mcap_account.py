@@ -1,4 +1,4 @@
-"""Count read and lost parts of an MCAP file: left-out chunks, foreign bytes, messages.
+"""Count read and lost parts of an MCAP file: skipped chunks, invalid bytes, messages.
 
 Pinned by tests/files/test_mcap_damage.py.
 """
@@ -12,12 +12,12 @@ from pathlib import Path
 from softmap_edge.files.mcap_records import Closing, Damage
 from softmap_edge.files.printable import listed
 
-SPANS = 3  # time spans that are named one by one
+SPANS = 3  # time spans that are listed
 
 
 @dataclass(frozen=True)
 class Lost:
-    """A chunk left out: its place in the file, why, and its times (ns) if they are known."""
+    """A skipped chunk: its place in the file, the reason, and its times (ns) if known."""
 
     start: int
     end: int
@@ -27,27 +27,27 @@ class Lost:
 
 @dataclass
 class Account:
-    """The findings in a file of `size` bytes whose end states `closing`."""
+    """The findings in a file of `size` bytes with the closing statements `closing`."""
 
     path: Path
     size: int
     closing: Closing | None
     chunks: int = 0
     lost: list[Lost] = field(default_factory=list)
-    gaps: list[tuple[int, int]] = field(default_factory=list)  # bytes that are no records
+    gaps: list[tuple[int, int]] = field(default_factory=list)  # bytes that are not records
     counts: Counter[int] = field(default_factory=Counter)  # messages read, by channel
-    missing: int = 0  # messages that the indexes after the chunks state and that were not there
-    indexed: int = 0  # of the newest chunk: messages that its index states, and messages read
+    missing: int = 0  # messages stated by the indexes after the chunks but not found
+    indexed: int = 0  # of the newest chunk: messages stated by its index, and messages read
     inside: int = 0
-    strays: int = 0  # messages that are left out: of no channel, or of no chunk in a file of chunks
-    clashes: int = 0  # schemas and channels that are defined again in another way
-    unchecked: int = 0  # chunks without a checksum, and messages of no chunk
-    odd: int = 0  # records of a kind that is not known
-    first: int | None = None  # log time of the messages read, ns
+    strays: int = 0  # skipped messages: without a channel, or outside the chunks of a chunked file
+    clashes: int = 0  # schemas and channels with conflicting definitions
+    unchecked: int = 0  # chunks without a checksum, and messages outside chunks
+    odd: int = 0  # records of unknown kind
+    first: int | None = None  # log time of the first and last message read, ns
     last: int = 0
 
     def settle(self) -> None:
-        """Close the count of the newest chunk."""
+        """Finish the count of the newest chunk."""
         self.missing += max(0, self.indexed - self.inside)
         self.indexed = self.inside = 0
 
@@ -60,7 +60,7 @@ class Account:
 
     @property
     def damage(self) -> Damage | None:
-        """Return one sentence on the damage of the file; None if there is none."""
+        """Return a sentence on the damage of the file; None if undamaged."""
         found = [*self._left_out(), *self._missing(), *self._contradictions()]
         if self.closing is not None and not found:
             return None
@@ -75,7 +75,7 @@ class Account:
 
     @property
     def remarks(self) -> list[str]:
-        """Return further remarks on the file, a sentence each."""
+        """Return further remarks on the file, as sentences."""
         said = []
         checked = self.closing is not None and self.closing.data
         if self.unchecked and not checked:
@@ -104,7 +104,7 @@ class Account:
                 f"byte {self.lost[0].start}{times})"
             )
         gone = sum(end - start for start, end in self.gaps)
-        if self.closing is None:  # a chunk before the torn end is a part of it
+        if self.closing is None:  # a chunk before the truncated end is part of it
             gone += sum(one.end - one.start for one in self.lost)
         if gone:
             lines.append(f"{gone} of {self.size} bytes cannot be read")
@@ -114,7 +114,7 @@ class Account:
         total = None if self.closing is None else self.closing.total
         if self.closing is not None and total is not None:
             read, stated = dict(self.counts), self.closing.counts
-            if stated is None:  # the number of all of them alone
+            if stated is None:  # only their total
                 read, stated = {0: self.counts.total()}, {0: total}
             missing = sum(max(0, count - read.get(channel, 0)) for channel, count in stated.items())
             spare = sum(max(0, count - stated.get(channel, 0)) for channel, count in read.items())

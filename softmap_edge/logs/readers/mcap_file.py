@@ -1,10 +1,10 @@
-"""Read a topic of a rosbag2 MCAP recording: a row per message, columns by `cdr.py`, the time.
+"""Read a topic of a rosbag2 MCAP recording: one row per message, columns from `cdr.py`, and time.
 
-`time` is the message's own `header.stamp` in s (since 1970, or of a simulation), or the time at
-which it was logged where it has none; `log_time` is the latter always. Every checksum that the file
-carries is checked: a chunk that fails it is left out, one that was cut is read as far as it goes,
-and either is reported (`Damage`). Needs PyPI's `mcap`; messages are decoded here, so that a damaged
-one can neither run code nor fill the memory.
+`time` is the message's `header.stamp` in s (since 1970, or of a simulation), or the log time if the
+message has none; `log_time` is always the log time. Every checksum in the file is checked. A chunk
+that fails is skipped, a truncated one is read as far as possible, and both are reported (`Damage`).
+Needs PyPI's `mcap`; messages are decoded here, so a damaged one can neither run code nor exhaust
+memory.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ __all__ = ["MAGIC", "Topic", "open_mcap", "topics"]
 
 @dataclasses.dataclass(frozen=True)
 class Topic:
-    """A topic: the type of its messages, and how many there are."""
+    """A topic: its message type and number of messages."""
 
     name: str
     type: str
@@ -38,7 +38,7 @@ class Topic:
 
 
 def topics(path: Path, shown: Path | None = None) -> list[Topic]:
-    """Return the recorded topics; issue a `RecordingWarning` for a damaged or cut file.
+    """Return the recorded topics; issue a `RecordingWarning` for a damaged or truncated file.
 
     Raises:
         RunError: as `open_mcap`.
@@ -64,15 +64,14 @@ def topics(path: Path, shown: Path | None = None) -> list[Topic]:
 def open_mcap(
     path: Path, topic: str | None, most: int | None = None, shown: Path | None = None
 ) -> HeldColumns:
-    """Read the messages of a topic (None: the only one); `most` ends the reading early.
+    """Read the messages of a topic (None: the only one); `most` limits their number.
 
-    `shown` is the path that messages about damage name: that of the packed file, say.
-
-    Damaged or missing parts are reported as a `Damage` among the notes and as a `RecordingWarning`.
+    `shown` is the path in messages about damage, for example that of the packed file. Damaged or
+    missing parts are reported as a `Damage` among the notes and as a `RecordingWarning`.
 
     Raises:
-        RunError: `mcap` is not installed, the file is damaged, or the topic is not there or cannot
-            be decoded.
+        RunError: `mcap` is not installed, the file is damaged, or the topic is absent or cannot be
+            decoded.
     """
     if topic is None:
         found = topics(path, shown)

@@ -1,7 +1,7 @@
 """Read the messages of an MCAP file whose checksums match, and count the others.
 
-A chunk whose checksum, size or compression fails is left out, and those after it are still read. A
-chunk without a checksum is left out where the checksum of all data fails. Pinned by
+A chunk with a wrong checksum, size or compression is skipped, and later ones are still read. A
+chunk without a checksum is skipped if the checksum of all data fails. Pinned by
 tests/files/test_mcap_damage.py and tests/logs/test_import_mcap.py.
 """
 
@@ -36,35 +36,35 @@ from softmap_edge.logs.readers.packed import ZSTD_WINDOW
 if TYPE_CHECKING:
     from mcap.records import Channel, Message, Schema
 
-    Item = tuple[Channel, Schema | None, Message | None]  # no message: a channel that is new
+    Item = tuple[Channel, Schema | None, Message | None]  # without message: a new channel
 
-_LARGEST = 2**28  # bytes of one chunk when unpacked; writers use 1 to 16 MB
+_LARGEST = 2**28  # bytes of one unpacked chunk; writers use 1 to 16 MB
 
 
 class Bad(ValueError):
-    """Why a chunk is left out."""
+    """The reason why a chunk is skipped."""
 
 
 class Messages:
-    """Every message of a file with its channel and schema, and each channel once without one.
+    """Iterate over a file's messages with channel and schema; each new channel comes once alone.
 
-    `.account` holds what was left out, complete once all messages were read.
+    `.account` holds the skipped parts; it is complete after all messages are read.
 
     Raises:
-        RunError: `mcap` is not installed, the file is no MCAP file, or no checksum confirms its
+        RunError: `mcap` is not installed, the file is not an MCAP file, or no checksum confirms its
             messages.
     """
 
     def __init__(self, path: Path, shown: Path | None = None) -> None:
-        self._path, self._shown = path, shown or path  # the file, and the path that the user gave
+        self._path, self._shown = path, shown or path  # the file, and the path given by the user
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
-        self._spare: tuple[dict[int, Channel], dict[int, Schema]] = {}, {}  # of the summary
+        self._spare: tuple[dict[int, Channel], dict[int, Schema]] = {}, {}  # from the summary
         self.account = Account(self._shown, 0, None)
 
     def __iter__(self) -> Iterator[Item]:
         try:
-            import mcap.records  # noqa: F401 - asked for here, once
+            import mcap.records  # noqa: F401 - imported here, once
         except ImportError:
             raise RunError(
                 f"{self._path}: MCAP needs the package mcap; run pip install 'softmap-edge[logs]'"
@@ -116,7 +116,7 @@ class Messages:
 
     @property
     def _sound(self) -> bool | None:
-        """Whether the checksum of all data matches; None where the file has none."""
+        """Return whether the checksum of all data matches; None if the file has none."""
         return None if self.account.closing is None else self.account.closing.data
 
     def _chunk(self, record: Record) -> Iterator[Item]:
@@ -165,9 +165,9 @@ class Messages:
     def _define(
         self, kind: int, body: bytes, channels: dict[int, Channel], schemas: dict[int, Schema]
     ) -> Channel | None:
-        """Keep a schema or a channel; return a channel that is new.
+        """Store a schema or a channel; return the channel if it is new.
 
-        The first of several of one id counts.
+        If an id is defined several times, the first definition counts.
         """
         from mcap.data_stream import ReadDataStream
         from mcap.exceptions import McapError
@@ -196,7 +196,7 @@ class Messages:
 
 
 def unpacked(chunk: Chunk) -> bytes:
-    """Return the bytes of a chunk, at most as many as it states, their checksum checked.
+    """Return the bytes of a chunk, limited to the stated size, with their checksum checked.
 
     Raises:
         Bad: they cannot be unpacked, or do not match their size or checksum.
@@ -212,7 +212,7 @@ def unpacked(chunk: Chunk) -> bytes:
         ) from None
     except Bad:
         raise
-    except Exception as fault:  # lz4, zstandard: whatever a damaged chunk meets
+    except Exception as fault:  # a damaged chunk raises any error of lz4 or zstandard
         raise Bad(f"it cannot be unpacked: {brief(fault) or type(fault).__name__}") from None
     if len(data) != chunk.size:
         raise Bad(f"a chunk holds {len(data)} bytes, but states {chunk.size}")

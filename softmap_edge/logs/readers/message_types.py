@@ -1,8 +1,8 @@
-"""Definitions of common ROS 2 messages, for recordings without (rosbag2's .db3 to Humble).
+"""Definitions of common ROS 2 messages, for recordings without them (rosbag2's .db3 to Humble).
 
-Only types whose fields are the same in every distribution from Dashing to Lyrical; of any other a
-recording must carry the definition. Reference: the .msg files of common_interfaces, geometry2 and
-control_msgs.
+Only types with the same fields in every distribution from Dashing to Lyrical are included; for any
+other the recording must contain the definition. Reference: the .msg files of common_interfaces,
+geometry2 and control_msgs.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ for _name in ("Pose", "Twist"):
 def known_definition(name: str) -> str | None:
     """Return a common type's definition as rosbag2 writes it; None for another type.
 
-    It includes the definitions within.
+    It includes the definitions of contained types.
 
     Args:
         name: the type, such as `sensor_msgs/msg/JointState`.
@@ -116,7 +116,7 @@ def known_definition(name: str) -> str | None:
 
 
 def _within(owner: str) -> list[str]:
-    """Return the types that a type holds."""
+    """Return the types that a type contains."""
     kinds = [re.sub(r"\[\d*\]$", "", field.split()[0]) for field in _TYPES[owner].split(", ")]
     known = [kind if "/" in kind else f"{owner.split('/')[0]}/{kind}" for kind in kinds]
     return [kind for kind in known if kind in _TYPES]

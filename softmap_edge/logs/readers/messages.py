@@ -1,9 +1,8 @@
-"""Gather decoded messages of a topic as a table: a row per message, columns by name.
+"""Collect decoded messages of a topic in a table: one row per message, columns by name.
 
-There are also `time` and `log_time`.
-
-A field of the messages that is called `time` or `log_time` itself becomes the column `time
-(field)`. Also the errors of readers of recordings whose topic is not there, or not named.
+The table also has the columns `time` and `log_time`. A message field called `time` or `log_time`
+becomes the column `time (field)`. The module also defines the errors for absent and unspecified
+topics.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ NUMBERS = 2**27  # numbers of one topic: 1 GiB
 
 
 def several_topics(path: Path, types: Mapping[str, str]) -> RunError:
-    """Return the error that a mapping must name one of the topics (name → type) of a recording."""
+    """Return the error that a mapping must select one of a recording's topics (name → type)."""
     named = ", ".join(f"{name} ({kind})" for name, kind in types.items())[:300] or "none"
     return RunError(
         f'{path}: holds {len(types)} topics ({named}); name one in the mapping: topic = "…"'
@@ -30,7 +29,7 @@ def several_topics(path: Path, types: Mapping[str, str]) -> RunError:
 
 
 def no_message(path: Path, topic: str, there: Iterable[str]) -> RunError:
-    """Return the error of a topic without messages in a recording, and the topics with some."""
+    """Return the error for a topic without messages; it lists the topics that have some."""
     listed = ", ".join(sorted(there))[:200]
     if not listed:
         return RunError(f"{path}: holds no message of any topic; give the recording of a run")
@@ -41,12 +40,12 @@ def no_message(path: Path, topic: str, there: Iterable[str]) -> RunError:
 
 
 class MessageRows:
-    """The messages of a topic so far; a number that a message lacks is NaN in its row."""
+    """The messages of a topic so far; NaN for a number that a message lacks."""
 
     def __init__(self, path: Path, topic: str) -> None:
         self.path, self.topic = path, topic
-        self.index: dict[str, int] = {}  # column → place
-        # names of a message → the places of its numbers
+        self.index: dict[str, int] = {}  # column → position
+        # names of a message → positions of its numbers
         self.shapes: dict[tuple[str, ...], NDArray[np.int64]] = {}
         self.rows: list[tuple[NDArray[np.int64], Array]] = []
 
@@ -55,7 +54,7 @@ class MessageRows:
 
         Args:
             numbers: of the message, by name.
-            logged: when it was recorded, s.
+            logged: time of recording, s.
 
         Raises:
             RunError: the topic holds too many numbers.
@@ -79,7 +78,7 @@ class MessageRows:
             )
 
     def columns(self, notes: tuple[str, ...] = (), by_time: bool = False) -> HeldColumns:
-        """Return the table; there must be a row. `by_time` puts rows in the order of `log_time`."""
+        """Return the table, at least one row; `by_time` sorts the rows by `log_time`."""
         table = np.full((len(self.rows), len(self.index)), np.nan)
         for k, (places, values) in enumerate(self.rows):
             table[k, places] = values

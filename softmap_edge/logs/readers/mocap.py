@@ -1,11 +1,9 @@
-"""Read the text exports of motion capture: TRC (OpenSim, Cortex, QTM), Motive's CSV.
+"""Read text exports of motion capture: TRC (OpenSim, Cortex, QTM) and CSV of OptiTrack's Motive.
 
-Motive is OptiTrack's.
-
-Both have several lines of header; the rows below are an ordinary text log. Columns are called
-`frame`, `time`, and `NAME.x`, `NAME.y`, `NAME.z` for each marker or rigid body; of Motive also
-`NAME.rotation.x` and the error of a marker. An empty cell is a marker not seen. The unit is the one
-that the header states.
+Both have several header lines; the rows below are an ordinary text log. Columns are `frame`,
+`time`, and `NAME.x`, `NAME.y`, `NAME.z` for each marker or rigid body; for Motive also
+`NAME.rotation.x` and the error of a marker. An empty cell is an unseen marker. The header states
+the unit.
 """
 
 from __future__ import annotations
@@ -33,12 +31,12 @@ _UNITS |= dict.fromkeys(("in", "inch", "inches"), "in") | dict.fromkeys(
 
 
 def is_trc(line: str) -> bool:
-    """Whether a file that begins with this line is TRC."""
+    """Return whether a file with this first line is TRC."""
     return line.startswith("PathFileType")
 
 
 def is_motive(line: str) -> bool:
-    """Whether a file that begins with this line is Motive's CSV."""
+    """Return whether a file with this first line is Motive's CSV."""
     return line.replace('"', "").startswith("Format Version,")
 
 
@@ -86,7 +84,7 @@ def open_motive(path: Path) -> TextColumns:
     kinds = next((row for row in cells[:at] if len(row) > 1 and row[1].lower() == "type"), [])
     rows = [row + [""] * (width - len(row)) for row in (kinds, named, cells[at - 1], cells[at])]
     names = ["frame", "time"]
-    taken = set(names)  # next to the list: a damaged head may hold 500 000 cells
+    taken = set(names)  # in addition to the list: a damaged header may hold 500 000 cells
     for kind, name, what, axis in list(zip(*rows))[2:]:
         column = (
             f"{name}.{axis.lower()}"
@@ -103,7 +101,7 @@ def open_motive(path: Path) -> TextColumns:
 def _rows(
     path: Path, names: list[str], delimiter: str, cells: list[list[str]], at: int, unit: str
 ) -> TextColumns:
-    """The rows below the head: where they begin, and the unit of the coordinates."""
+    """Return where the rows below the header begin, and the unit of the coordinates."""
     while at < len(cells) and not (cells[at] and cells[at][0] and is_number(cells[at][0])):
         at += 1
     if at == len(cells):

@@ -1,8 +1,8 @@
-"""Read the arrays of a log in NumPy's formats: `.npz` by name, `.npy` as one array called `data`.
+"""Read a log in NumPy's formats: arrays of `.npz` by name, `.npy` as one array called `data`.
 
-Never unpickles: arrays of Python objects are left out and named. Sizes are checked against the
-archive before anything is unpacked, and the checksums of the archive are checked. Arrays with named
-fields become one column a field.
+Nothing is unpickled: arrays of Python objects are left out and listed. Sizes are checked against
+the archive before unpacking, and its checksums are checked. Arrays with named fields become one
+column per field.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from softmap_edge.files.npz import MOST_ARRAYS, array_header, fields_of
 from softmap_edge.logs.readers.arrays import MOST_COLUMNS, ArrayColumns, columns_of_arrays
 from softmap_edge.logs.readers.in_child import MOST
 
-LIMIT = 2**29  # bytes of all arrays when unpacked
+LIMIT = 2**29  # bytes of all unpacked arrays
 
 
 def open_npz(path: Path) -> ArrayColumns:
     """Read the arrays of a log.
 
     Raises:
-        RunError: the file is damaged or too large, is a run, or no array in it holds columns of
+        RunError: the file is damaged, too large or a run, or no array in it holds columns of
             numbers.
     """
     arrays: dict[str, NDArray[np.generic]] = {}
@@ -38,7 +38,7 @@ def open_npz(path: Path) -> ArrayColumns:
             _sort(name, array, arrays, texts, left_out)
     except RunError:
         raise
-    # zipfile, zlib, ast and tokenize raise a dozen kinds on damaged files
+    # damaged files raise a dozen kinds in zipfile, zlib, ast and tokenize
     except Exception as fault:
         why = brief(fault) or type(fault).__name__
         raise RunError(f"{path}: is a damaged NumPy file ({why}); save it again") from None
@@ -52,7 +52,7 @@ def open_npz(path: Path) -> ArrayColumns:
 
 
 def _arrays(path: Path, left_out: list[str]) -> Iterator[tuple[str, NDArray[np.generic]]]:
-    """Every array of a file that holds no Python objects, by its name."""
+    """Yield every array of a file without Python objects, with its name."""
     with path.open("rb") as file:
         if file.read(6) == b"\x93NUMPY":
             size = path.stat().st_size
@@ -86,7 +86,7 @@ def _arrays(path: Path, left_out: list[str]) -> Iterator[tuple[str, NDArray[np.g
 
 
 def _array(stream: IO[bytes], size: int) -> NDArray[np.generic] | None:
-    """Return one array; None where it holds Python objects."""
+    """Return one array; None if it holds Python objects."""
     head = array_header(stream)
     if head.dtype.hasobject:
         return None
@@ -112,7 +112,7 @@ def _sort(
     texts: dict[str, list[str]],
     left_out: list[str],
 ) -> None:
-    """Add an array to the numbers, the texts, or the names that are left out."""
+    """Add an array to the numbers, to the texts, or to the list of those left out."""
     if name in arrays or name in texts:
         raise ValueError(f"two arrays are called '{name[:60]}'")
     if array.dtype.names is not None:
@@ -129,7 +129,7 @@ def _sort(
 
 
 def seconds_of(times: NDArray[np.generic]) -> NDArray[np.float64]:
-    """Return dates (since 1970) or durations of any shape in s; NaN where there is none."""
+    """Return dates (since 1970) or durations of any shape in s; NaN where missing."""
     absent = np.isnat(times)
     unit = f"{times.dtype.kind}8[ns]"
     seconds = times.astype(unit.replace("ns", "s"))

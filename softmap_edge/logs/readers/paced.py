@@ -1,4 +1,4 @@
-"""Add the column `time` to a log with its rate in its head, from frame or row numbers."""
+"""Add a `time` column to a log with a stated rate, from frame or row numbers."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ TIME = "time"
 
 @dataclass(frozen=True)
 class PacedColumns:
-    """A text log, and a last column `time` (s) of its frame numbers, or of its rows.
+    """A text log with an additional last column `time` (s), from frame or row numbers.
 
     The file states the rate.
 
     Attributes:
         inner: the columns of the file.
-        rate_hz: rows or frames a second.
-        frame: the place of the column of frame numbers; None to count rows.
-        first_frame: the number that stands for `start_s`.
-        start_s: the time of the first frame.
+        rate_hz: rows or frames per second.
+        frame: position of the frame number column; None to count rows.
+        first_frame: frame number at `start_s`.
+        start_s: time of the first frame.
     """
 
     inner: TextColumns
@@ -52,7 +52,7 @@ class PacedColumns:
 
     @property
     def where(self) -> str:
-        """The name of a row."""
+        """The word for a row."""
         return self.inner.where
 
     @property
@@ -62,16 +62,16 @@ class PacedColumns:
 
     @property
     def header(self) -> bool:
-        """Whether columns have names."""
+        """Whether the columns have names."""
         return self.inner.header
 
     @property
     def head_line(self) -> int | None:
-        """The number of the line that names the columns."""
+        """The line number of the column names."""
         return self.inner.head_line
 
     def texts(self, rows: int) -> dict[str, list[str]]:
-        """Return the columns that hold text in the first rows, with that text."""
+        """Return the columns with text in the first rows, and that text."""
         return self.inner.texts(rows)
 
     def read(self, places: list[int], label: int | None = None, rows: int | None = None) -> Cells:
@@ -104,16 +104,16 @@ class PacedColumns:
 def paced(
     columns: TextColumns, rate: str, frame: str | None = None, first_frame: float = 1.0
 ) -> TextColumns | PacedColumns:
-    """Return a log with a column `time`, where it has none and states a rate.
+    """Return a log with a column `time`, if it lacks one and states a rate.
 
     Args:
         columns: the log.
-        rate: the rate in Hz, as the file writes it.
-        frame: the name of the column of frame numbers; None to count rows.
-        first_frame: the number of the frame at 0 s.
+        rate: in Hz, as written in the file.
+        frame: name of the frame number column; None to count rows.
+        first_frame: number of the frame at 0 s.
 
     Raises:
-        RunError: the rate is no positive number.
+        RunError: the rate is not a positive number.
     """
     if TIME in columns.names:
         return columns

@@ -1,9 +1,9 @@
-"""Unpack a log that was packed as a file: `.mcap.zstd` of rosbag2, `.csv.gz`.
+"""Unpack a compressed log: `.mcap.zstd` of rosbag2, `.csv.gz`.
 
-The unpacked file lies in a temporary folder as long as the object that `unpack` returns is kept. At
-most LIMIT bytes are unpacked, of a text log no more than is read of one, and never more than half
-of what is free on the disk. A file that grows more than `_DENSEST`-fold is refused early. Checksums
-that the packing carries are checked.
+The unpacked file stays in a temporary folder as long as the object returned by `unpack` exists. At
+most LIMIT bytes are unpacked, for a text log no more than the limit of a text log, and never more
+than half of the free disk space. A file that expands more than `_DENSEST`-fold is rejected early.
+Checksums of the compressed file are checked.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ if TYPE_CHECKING:
     from zstandard import ZstdDecompressor
 
 ZSTD = b"\x28\xb5\x2f\xfd"
-_SKIPPED = re.compile(rb"[\x50-\x5f]\x2a\x4d\x18")  # a frame without content, as pzstd writes first
+_SKIPPED = re.compile(rb"[\x50-\x5f]\x2a\x4d\x18")  # an empty frame, as pzstd writes first
 GZIP = b"\x1f\x8b\x08"
 LIMIT = 2**32  # bytes when unpacked
-_UNSUSPECTED = 2**28  # bytes unpacked, below which their ratio to the packed ones is not looked at
-# times smaller when packed: a log of one repeated line reaches it, no recording does
+_UNSUSPECTED = 2**28  # unpacked bytes; below this size the compression ratio is not checked
+# compression ratio that a log of one repeated line reaches, but no recording
 _DENSEST = 200
-# frames of a file, and the bytes of each on average, if it has more
+# number of frames, and mean bytes per frame if there are more
 _FRAMES, _FRAME = 10_000, 2**12
-_NESTED = ("zstd", "gzip")  # refused when unpacked
+_NESTED = ("zstd", "gzip")  # rejected inside a compressed file
 _PIECE = 2**20  # bytes at a time
-_SMALL = 2**11  # packed bytes at a time: each block of 4 bytes may unpack to 128 KiB
-ZSTD_WINDOW = 2**27  # bytes that zstd may look back: what `zstd -d` takes
+_SMALL = 2**11  # packed bytes at a time: each block of 4 bytes may expand to 128 KiB
+ZSTD_WINDOW = 2**27  # bytes that zstd may look back: the limit of `zstd -d`
 _ENDINGS = (".zstd", ".zst", ".gz")
 
 
 @dataclass(frozen=True, eq=False)
 class Unpacked:
-    """A file that was unpacked; its folder is removed together with this object."""
+    """An unpacked file; its folder is deleted together with this object."""
 
     file: Path
 
@@ -51,7 +51,7 @@ class Unpacked:
 
 
 def unpack(path: Path) -> Unpacked:
-    """Unpack a zstd or gzip file into a temporary folder, named without the last ending.
+    """Unpack a zstd or gzip file to a temporary folder; the name loses its last ending.
 
     Raises:
         RunError: `zstandard` is not installed, or the file is damaged or too large.
@@ -67,7 +67,7 @@ def unpack(path: Path) -> Unpacked:
 
 
 def skipped_frames(start: bytes) -> int:
-    """Return the bytes of empty frames with which a file begins, from its first bytes."""
+    """Return the length in bytes of the empty frames at the start of a file."""
     at = 0
     while _SKIPPED.match(start, at):
         at += 8 + int.from_bytes(start[at + 4 : at + 8], "little")
@@ -75,7 +75,7 @@ def skipped_frames(start: bytes) -> int:
 
 
 def _unpack(path: Path, file: Path) -> None:
-    """Write what is packed in `path` to `file`."""
+    """Write the unpacked content of `path` to `file`."""
     room = min(LIMIT, shutil.disk_usage(file.parent).free // 2)
     total = 0
     try:
@@ -107,12 +107,12 @@ def _unpack(path: Path, file: Path) -> None:
 
 
 def _limit_of(path: Path, file: Path) -> int:
-    """Return the most bytes of a file that are read, by its first bytes.
+    """Return the largest size of a file that is read, from its first bytes.
 
     Raises:
-        RunError: it is of a format that is not read.
+        RunError: its format is not supported.
     """
-    from softmap_edge.logs.readers.kinds import BINARY, kind_of  # imports this module
+    from softmap_edge.logs.readers.kinds import BINARY, kind_of  # that module imports this one
     from softmap_edge.logs.readers.lines import LIMIT as TEXT
 
     with file.open("rb") as start:
@@ -126,7 +126,7 @@ def _limit_of(path: Path, file: Path) -> int:
 
 
 def _pieces(path: Path, packed: BinaryIO) -> Iterator[bytes]:
-    """The content of a packed file, piece by piece."""
+    """Yield the unpacked content of a file piece by piece."""
     start = packed.read(4)
     packed.seek(0)
     if start.startswith(GZIP):

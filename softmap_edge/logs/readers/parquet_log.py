@@ -1,9 +1,9 @@
-"""Read a log in Parquet, such as an episode of a LeRobot dataset, by pyarrow in a child process.
+"""Read a Parquet log, such as an episode of a LeRobot dataset, with pyarrow in a child process.
 
-A column of numbers keeps its name; one of lists of numbers becomes `action[0]` … or, where the
-dataset's `meta/info.json` names them, `action[shoulder_pan.pos]`. One of several episodes is read.
-Times become seconds, texts labels; checksums of pages are checked where the file has them. Images
-and structs are left out and named.
+A column of numbers keeps its name. A column of lists of numbers becomes `action[0]` …, or
+`action[shoulder_pan.pos]` if the dataset's `meta/info.json` names the elements. Only one of several
+episodes is read. Times are converted to seconds, texts to labels; checksums of pages are checked if
+present. Images and structs are left out and listed.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ def open_parquet(path: Path, episode: int | None = None, first: bool = False) ->
 
     Args:
         path: the file.
-        episode: which episode of several to read.
-        first: read the first of several if none is asked for.
+        episode: the episode to read, if there are several.
+        first: whether to read the first of several if none is requested.
 
     Raises:
-        RunError: pyarrow is not installed, the file is damaged or too large, or the episode is not
-            in it.
+        RunError: pyarrow is not installed, the file is damaged or too large, or the episode is
+            absent.
     """
     if path.stat().st_size > LIMIT:
         raise RunError(
@@ -78,7 +78,7 @@ def _videos(document: Document, info: Info) -> list[str]:
 
 
 def episodes_in(path: Path) -> tuple[int, int] | None:
-    """Return the first and last episode of a file; None where it has no episodes.
+    """Return the first and last episode of a file; None without episodes.
 
     Raises:
         RunError: as `open_parquet`.
@@ -141,13 +141,13 @@ def read_parquet(path: Path, episode: int | None, first: bool) -> Answer:
 
 
 class _Gathered:
-    """The columns of one episode so far, batch by batch."""
+    """The columns of one episode, collected batch by batch."""
 
     def __init__(self, path: Path, names: list[str], episode: int | None) -> None:
         self.path, self.names, self.episode = path, names, episode
         self.parts: dict[str, list[NDArray[np.generic]]] = {name: [] for name in names}
         self.left_out: list[str] = []
-        self.seen: set[int] = set()  # episodes
+        self.seen: set[int] = set()  # numbers of episodes
         self.ragged: set[str] = set()
         self.numbers = 0
 
@@ -164,9 +164,9 @@ class _Gathered:
     def add(
         self, name: str, values: NDArray[np.generic] | None, keep: NDArray[np.bool_] | None
     ) -> None:
-        """Add the rows to `keep` (rows,) of the values (rows, …) of a column.
+        """Add the rows `keep` (rows,) of a column's values (rows, …).
 
-        None where they have no common shape.
+        `values` is None if they have no common shape.
 
         Raises:
             RunError: the file holds too many numbers.
@@ -185,7 +185,7 @@ class _Gathered:
         """Return all columns as the child's answer.
 
         Raises:
-            RunError: the file does not hold the episode.
+            RunError: the file does not contain the episode.
         """
         if EPISODE in self.names and not self.parts[EPISODE]:
             listed = f"{min(self.seen)} to {max(self.seen)}" if self.seen else "none"
@@ -240,7 +240,7 @@ def _is_read(pyarrow: ModuleType, kind: DataType) -> bool:
 def _values(pyarrow: ModuleType, column: PyArray) -> NDArray[np.generic] | None:
     """Return a column as an array: (rows,), or (rows, elements) of lists.
 
-    None of lists of different lengths.
+    None for lists of different lengths.
     """
     types = pyarrow.types
     kind = column.type

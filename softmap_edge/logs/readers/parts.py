@@ -1,11 +1,8 @@
-"""Read a log's files one after another: parts of a split bag, or logs of one mapping.
+"""Read the files of one log in sequence: parts of a split bag, or logs with equal mappings.
 
-Those have equal mappings.
-
-The order of day and month of their dates is decided by all parts together. Parts whose times of day
-begin again after midnight follow those before it. Parts of another clock that rolls over follow one
-another in the order of their names, if the mapping mends roll-overs. Pinned by
-tests/logs/test_csv_parts.py.
+The day-month order of dates is decided by all parts together. Parts whose times of day restart
+after midnight follow those before it. Parts of any other clock that rolls over are ordered by name,
+if the mapping mends roll-overs. Pinned by tests/logs/test_csv_parts.py.
 """
 
 from __future__ import annotations
@@ -34,12 +31,12 @@ from softmap_edge.logs.time_text import (
 
 @dataclass(frozen=True)
 class JoinedColumns:
-    """The columns of several files as one; a column that a file lacks is empty in its rows.
+    """The columns of several files joined; a column missing in a file is empty in its rows.
 
     Attributes:
-        path: the path that messages name.
-        parts: each file opened, with its name.
-        clock: the time that puts them in order, of one column or several.
+        path: the path shown in messages.
+        parts: each open file, with its name.
+        clock: the time that determines their order, of one column or several.
         notes: sentences on all parts.
     """
 
@@ -50,8 +47,8 @@ class JoinedColumns:
 
     @property
     def names(self) -> list[str]:
-        """The columns of all files, those of the first ones first."""
-        if self._alike():  # a name may stand twice
+        """The columns of all files, in order of first occurrence."""
+        if self._alike():  # a name may occur twice
             return self.parts[0][1].names
         return list(dict.fromkeys(name for _, columns in self.parts for name in columns.names))
 
@@ -60,7 +57,7 @@ class JoinedColumns:
 
     @property
     def units(self) -> dict[str, str]:
-        """The units that the files state."""
+        """The units stated by the files."""
         return {
             name: unit
             for _, columns in reversed(self.parts)
@@ -77,15 +74,15 @@ class JoinedColumns:
 
     @property
     def head_line(self) -> None:
-        """The number of the line that names the columns: each file has its own."""
+        """Line number of the column names: none, because each file has its own."""
 
     @property
     def where(self) -> str:
-        """The name of a row."""
+        """The word for a row."""
         return self.parts[0][1].where
 
     def read(self, places: list[int], label: int | None = None, rows: int | None = None) -> Cells:
-        """Return the cells of some columns of all files, the earliest file first.
+        """Return the cells of some columns of all files, in order of time.
 
         Raises:
             RunError: two files overlap in time.
@@ -129,13 +126,13 @@ class JoinedColumns:
 
     @property
     def _period(self) -> float:
-        """The s after which a time of day without a date begins again; 0 of any other time."""
+        """Return the period (s) of a time of day without a date; 0 for any other time."""
         names, columns = self.names, self.clock.columns
         clocks = [self.clocks.get(place(self.path, names, column)) for column in columns]
         return clocks[0].period if len(clocks) == 1 and clocks[0] is not None else 0.0
 
     def _order(self, times: Sequence[Array]) -> tuple[list[int], list[float]]:
-        """Return the order of the files, and the s to add to the times of each.
+        """Return the order of the files, and the offset (s) of the times of each.
 
         Raises:
             RunError: two files overlap in time.
@@ -154,7 +151,7 @@ class JoinedColumns:
         return order, still
 
     def _rolls(self, times: Sequence[Array]) -> bool:
-        """Whether a clock that rolls over, as the mapping declares, runs on from file to file."""
+        """Return whether a clock declared to roll over continues from file to file."""
         if (
             self.clock.jumps != "mend"
             or self._period
@@ -173,9 +170,9 @@ class JoinedColumns:
         return sorted(range(len(names)), key=lambda k: numbers_in(names[k]))
 
     def _doubts(self, order: Sequence[int]) -> list[str]:
-        """Return a doubt if the numbers in the names show another order.
+        """Return a doubt if the numbers in the names indicate another order.
 
-        A clock that begins again must be explained by it.
+        A restarting clock must be explained by that order.
         """
         named = self._by_name()
         dated = any(
@@ -202,7 +199,7 @@ class JoinedColumns:
     ) -> tuple[Cells, Array]:
         """Return the cells of some columns of one file, and their times (rows,) s.
 
-        NaN where it has no such column.
+        Missing columns are NaN.
         """
         own = self._places(columns)
         clocks = [place(self.path, columns.names, column) for column in self.clock.columns]
@@ -219,7 +216,7 @@ class JoinedColumns:
         return Cells(numbers, labels, cells.lines, cells.notes, doubts=cells.doubts), times
 
     def _places(self, columns: Columns) -> dict[int, int]:
-        """Return the places of a file's columns by their places among those of all files."""
+        """Return the positions of a file's columns by their positions among those of all files."""
         if self._alike():
             return {k: k for k in range(len(columns.names))}
         return {
@@ -243,10 +240,10 @@ class JoinedColumns:
 
 
 def joined(path: Path, parts: Sequence[tuple[str, Columns]], clock: Clock) -> JoinedColumns:
-    """Return several files as one log, whose dates have one order of day and month.
+    """Return several files as one log, with one day-month order for all dates.
 
     Raises:
-        RunError: the dates of all parts together do not decide it.
+        RunError: the dates of all parts together do not decide the order.
     """
     opened, notes = list(parts), list[str]()
     for column in clock.columns:
@@ -291,5 +288,5 @@ def _pause(order: Sequence[int], times: list[Array]) -> str:
 
 
 def _noted(name: str, note: str) -> str:
-    """Return a note with the name of its part; a note of a subclass of str keeps its type."""
+    """Return a note prefixed with the name of its part; a subclass of str keeps its type."""
     return f"{name}: {note}" if type(note) is str else note

@@ -1,10 +1,8 @@
-"""Find the files of a recording folder: rosbag2 with `metadata.yaml`, or LeRobot.
+"""Find the files of a recording folder: rosbag2 with `metadata.yaml`, or a LeRobot dataset.
 
-The latter is a dataset.
-
-Of metadata.yaml only the list of files is read, and of each only its name: paths out of the folder
-are not followed. Without metadata.yaml, as an interrupted recorder leaves it, the recordings in the
-folder are its files.
+From metadata.yaml only the names in the list of files are read; paths out of the folder are not
+followed. Without metadata.yaml, as after an interrupted recording, all recordings in the folder are
+its files.
 """
 
 from __future__ import annotations
@@ -35,10 +33,10 @@ class Folder:
 
 
 def files_of(folder: Path) -> Folder:
-    """Return the files of a recording that is a folder.
+    """Return the files of a recording folder.
 
     Raises:
-        RunError: it is no recording, or a file that metadata.yaml names is not there.
+        RunError: it is not a recording, or a file listed in metadata.yaml is absent.
     """
     if is_dataset(folder):
         return Folder(tuple(dataset_files(folder)))
@@ -77,7 +75,7 @@ def files_of(folder: Path) -> Folder:
 
 
 def named_files(text: str) -> list[str]:
-    """Return the names that `relative_file_paths` of a metadata.yaml lists, without folders."""
+    """Return the names in `relative_file_paths` of a metadata.yaml, without folders."""
     key = _KEY.search(text)
     if key is None:
         return []
@@ -99,7 +97,7 @@ def named_files(text: str) -> list[str]:
 
 
 def _name(item: str) -> str:
-    """Return the name of a file from a cell of YAML: plain or in quotes, the folder taken off."""
+    """Return a file name from a YAML scalar, plain or quoted, without its folder."""
     if quoted := re.match(r"'((?:[^']|'')*)'", item):
         text = quoted[1].replace("''", "'")
     elif quoted := re.match(r'"(?:[^"\\]|\\.)*"', item):
@@ -113,12 +111,12 @@ def _name(item: str) -> str:
 
 
 def _present(folder: Path, name: str) -> Path | None:
-    """Return the file of this name, or its packed form."""
+    """Return the file with this name, or its packed form."""
     if name in ("", ".", ".."):
         return None
     for ending in ("", ".zstd", ".zst"):
         file = folder / f"{name}{ending}"
-        if os.path.isfile(file):  # false for a name that no file can have
+        if os.path.isfile(file):  # false for an impossible file name
             return file
     return None
 

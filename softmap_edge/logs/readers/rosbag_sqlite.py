@@ -1,12 +1,10 @@
-"""Read a topic of a rosbag2 recording in SQLite (.db3), as `mcap_file.py`.
+"""Read a topic of a rosbag2 recording in SQLite (.db3), as `mcap_file.py` does.
 
-One row per message, columns by `cdr.py`.
-
-The database is opened by Python's own `sqlite3`, read-only, without views, triggers, extensions or
-memory maps, and with limits of size and steps, because it may be malicious. A log that an
-interrupted recorder left (`-wal`) is merged in a copy. Recordings up to Humble hold no definitions
-of their messages: `message_types.py` has the common ones, and then a message must be used up to its
-last byte. SQLite files carry no checksum.
+There is one row per message, with columns from `cdr.py`. The database may be malicious, so Python's
+`sqlite3` opens it read-only, without views, triggers, extensions or memory maps, and with limits on
+size and steps. A log left by an interrupted recorder (`-wal`) is merged in a copy. Recordings up to
+Humble hold no message definitions: `message_types.py` has the common ones, and a message must then
+be used up to its last byte. SQLite files have no checksum.
 """
 
 from __future__ import annotations
@@ -31,9 +29,9 @@ MAGIC = b"SQLite format 3\0"
 LIMIT = 2**33  # bytes of one file
 _LONGEST = 2**26  # bytes of one message
 _TOPICS = 4096
-_STEPS = 100_000  # of SQLite's machine between two looks at how many there were
+_STEPS = 100_000  # steps of SQLite's machine between two checks of their number
 _MOST_STEPS = 30_000_000  # for a small file: some seconds
-_STEPS_A_BYTE = 4  # more for a large one; a message takes some 20 steps
+_STEPS_A_BYTE = 4  # additional steps for a large file; a message takes some 20 steps
 _TABLES = {
     "topics": {"id", "name", "type", "serialization_format"},
     "messages": {"topic_id", "timestamp", "data"},
@@ -49,7 +47,7 @@ class _Channel:
     name: str
     type: str
     encoding: str
-    definition: str | None  # of the file
+    definition: str | None  # from the file
     count: int
 
 
@@ -57,7 +55,7 @@ def topics_of_db3(path: Path) -> list[Topic]:
     """Return the recorded topics.
 
     Raises:
-        RunError: the file is damaged, or no recording of rosbag2.
+        RunError: the file is damaged, or not a recording of rosbag2.
     """
     with _opened(path) as (database, _):
         found = _channels(path, database)
@@ -68,10 +66,10 @@ def topics_of_db3(path: Path) -> list[Topic]:
 
 
 def open_db3(path: Path, topic: str | None, most: int | None = None) -> HeldColumns:
-    """Read the messages of a topic (None: the only one); `most` ends the reading early.
+    """Read the messages of a topic (None: the only one); `most` limits their number.
 
     Raises:
-        RunError: the file is damaged, or the topic is not there or cannot be decoded.
+        RunError: the file is damaged, or the topic is absent or cannot be decoded.
     """
     with _opened(path) as (database, notes):
         channel = _chosen(path, _channels(path, database), topic)
@@ -110,7 +108,7 @@ def _chosen(path: Path, channels: list[_Channel], topic: str | None) -> _Channel
 
 # --- definitions ---------------------------------------------------------------------------
 def _types(channel: _Channel) -> Types | None:
-    """Return the fields of a channel's messages; None where they are not known."""
+    """Return the fields of a channel's messages; None if unknown."""
     text = channel.definition or known_definition(channel.type)
     if channel.encoding != "cdr" or text is None:
         return None
@@ -144,7 +142,7 @@ def _types_or_fault(path: Path, channel: _Channel) -> Types:
 # --- the database --------------------------------------------------------------------------
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[tuple[sqlite3.Connection, list[str]]]:
-    """Open the database under its limits; every fault that SQLite reports becomes one error."""
+    """Open the database with limits; convert every fault reported by SQLite to one error."""
     notes: list[str] = []
     with contextlib.ExitStack() as stack:
         try:
@@ -190,7 +188,7 @@ def _merged(path: Path, notes: list[str], stack: contextlib.ExitStack) -> Path:
 
 
 def _harden(database: sqlite3.Connection, size: int) -> None:
-    """Set limits for a database of unknown origin, of `size` bytes."""
+    """Set limits for an untrusted database of `size` bytes."""
     calls = itertools.count(1)
     most = (_MOST_STEPS + _STEPS_A_BYTE * size) // _STEPS
     database.set_progress_handler(lambda: next(calls) > most, _STEPS)
@@ -247,7 +245,7 @@ def _channels(path: Path, database: sqlite3.Connection) -> list[_Channel]:
 
 
 def _definitions(database: sqlite3.Connection) -> dict[str, str]:
-    """Return the definitions that the file holds, by type."""
+    """Return the definitions in the file, by type."""
     columns = "topic_type, encoding, encoded_message_definition"
     rows = database.execute(f"SELECT {columns} FROM message_definitions LIMIT {_TOPICS}")
     return {
@@ -260,7 +258,7 @@ def _definitions(database: sqlite3.Connection) -> dict[str, str]:
 def _messages(
     path: Path, database: sqlite3.Connection, channel: _Channel, most: int | None
 ) -> Iterator[tuple[int, bytes]]:
-    """The time (ns) and bytes of a channel's messages, in the order of writing."""
+    """Yield time (ns) and bytes of a channel's messages, in the order of writing."""
     marks = ", ".join("?" * len(channel.ids))
     rows = database.execute(
         f"SELECT timestamp, data FROM messages WHERE topic_id IN ({marks}) LIMIT ?",

@@ -1,9 +1,8 @@
 """Read the rate of a log from the lines above its table.
 
-As `Sample rate: 200 Hz`, `Delta_X<tab>0.005`, `# fs = 50`.
-
-Rates of a serial port or of the heart are none. Where lines state different rates, none of them
-counts. Pinned by tests/logs/test_stated_rate.py.
+Examples: `Sample rate: 200 Hz`, `Delta_X<tab>0.005`, `# fs = 50`. Baud rates and heart rates do not
+count. If lines state different rates, none of them counts. Pinned by
+tests/logs/test_stated_rate.py.
 """
 
 from __future__ import annotations
@@ -32,14 +31,11 @@ _STEP = re.compile(
 )
 _STEPS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6}
 _ALLOWED = 1e-3, 1e6  # Hz
-_SAME = 1e-3  # of a rate: rates that differ by less are one
+_SAME = 1e-3  # relative difference below which two rates are equal
 
 
 def stated_rate(lines: Iterable[str]) -> float | None:
-    """Return the rate (Hz) stated above a table; None if there is none or several.
-
-    Several count if they differ.
-    """
+    """Return the rate (Hz) stated above a table; None if there is none, or several that differ."""
     found = [rate for line in lines if len(line) <= _LONG for rate in _rates(line)]
     found = [rate for rate in found if _ALLOWED[0] <= rate <= _ALLOWED[1]]
     return found[0] if found and max(found) - min(found) <= _SAME * max(found) else None

@@ -1,13 +1,12 @@
-"""Read a delimited text log (CSV and its like) block by block.
+"""Read a delimited text log (CSV and similar) block by block.
 
-A cell that cannot be read is named with its line.
-
-The reader finds where the table begins (`header.py`), its delimiter, and a header that is a comment
-(as numpy writes it). It also finds a line of units, decimal commas, blank lines, empty cells at the
-end of rows, and dates and times (`time_text.py`). Each block of lines goes through numpy's compiled
-reader, with empty cells as NaN. If that fails, the lines are read one by one to find the fault. A
-million rows of 16 columns need seconds and little more memory than their numbers
-(tests/logs/test_import_csv.py, `python -m benches.import_rows`).
+A cell that cannot be read is reported with its line. The reader finds the start of the table
+(`header.py`), its delimiter, and a header in a comment (as numpy writes it). It also finds a line
+of units, decimal commas, blank lines, empty cells at the end of rows, and dates and times
+(`time_text.py`). Each block of lines is parsed by numpy's compiled reader, with empty cells as NaN.
+If that fails, the lines are read one by one to find the fault. A million rows of 16 columns take
+seconds, and little more memory than their numbers (tests/logs/test_import_csv.py,
+`python -m benches.import_rows`).
 """
 
 from __future__ import annotations
@@ -40,16 +39,16 @@ from softmap_edge.logs.time_text import (
 
 _HEADS = 60  # lines above the rows that are compared with the lines between them
 NO_NUMBER = "; use one decimal mark and no marks between groups of digits, or export the log again"
-_FIRST = 200  # rows whose text decides what a column holds
+_FIRST = 200  # rows whose text decides the content of a column
 
 
 @dataclass(frozen=True)
 class TextColumns:
-    """The columns of a text log whose head is known."""
+    """The columns of a text log with a known header."""
 
     path: Path
     names: list[str]
-    first: int  # the line number of the first row
+    first: int  # line number of the first row
     delimiter: str
     decimal: str
     skip_last: int = 0
@@ -58,21 +57,21 @@ class TextColumns:
     notes: tuple[str, ...] = ()
     where: str = "line"
     header: bool = True
-    # cells of a full row whose last cells are left out; as many as names where None
+    # number of cells of a full row without its empty last cells; None: the number of names
     fewest: int | None = None
-    stop: int | None = None  # the line number after the last row; None: the end of the file
-    # columns of dates or times, read as s
+    stop: int | None = None  # line number after the last row; None: the end of the file
+    # columns of dates or times, read in s
     clocks: dict[int, TimeText] = field(default_factory=dict)
-    words: Words = field(default_factory=Words)  # of the last reading
-    head_line: int | None = None  # the number of the line that names the columns
-    # the lines above the rows that hold no numbers; loggers write them again
+    words: Words = field(default_factory=Words)  # from the last reading
+    head_line: int | None = None  # line number of the column names
+    # lines above the rows without numbers; loggers repeat them
     head: tuple[str, ...] = ()
-    grouped: str | None = None  # the mark between groups of three digits
-    marks: Marks = field(default_factory=Marks)  # what the first rows show
+    grouped: str | None = None  # the separator of groups of three digits
+    marks: Marks = field(default_factory=Marks)  # the findings in the first rows
     stated: bool = False  # whether the mapping states the decimal mark
 
     def texts(self, rows: int) -> dict[str, list[str]]:
-        """Return the text columns of the first rows, with that text; times are no text."""
+        """Return the text columns of the first rows, with their text; times are not text."""
         found: dict[str, list[str]] = {}
         for place, (name, column) in enumerate(zip(self.names, zip(*self._first_rows(rows)))):
             if place in self.clocks:
@@ -82,25 +81,25 @@ class TextColumns:
         return found
 
     def _first_rows(self, rows: int) -> list[list[str]]:
-        """The cells of the first rows that are full."""
+        """Return the cells of the first rows that are full."""
         lines = [line for line in first_lines(self.path, rows, self.first) if line.strip()]
         cells = [split(self._fitted(line), self.delimiter) for line in lines]
         return [row for row in cells if len(row) == len(self.names)]
 
     def with_clocks(self, order: str | None) -> TextColumns:
-        """Return the same with its columns of dates and times known.
+        """Return a copy with its columns of dates and times identified.
 
-        `order` (dmy, mdy) is of dates like 5/7/2031.
+        `order` (dmy, mdy) applies to dates like 5/7/2031.
         """
         clocks = clocks_of(self._first_rows, order)
         units = {self.names[place]: "s" for place in clocks}
         return replace(self, clocks=clocks, units=self.units | units) if clocks else self
 
     def read(self, places: list[int], label: int | None = None, rows: int | None = None) -> Cells:
-        """Return the cells of some columns; of a column of times its seconds.
+        """Return the cells of some columns; a column of times in s.
 
         Raises:
-            RunError: a line has another number of cells than the header, or a cell is not a number.
+            RunError: a line and the header differ in number of cells, or a cell is not a number.
         """
         timed = [place for place in places if place in self.clocks]
         plain = [place for place in places if place not in self.clocks]
@@ -157,7 +156,7 @@ class TextColumns:
         return Cells(table, found, at, (*notes, *more), doubts=doubts)
 
     def _cut(self, recent: list[str], line: int) -> tuple[str, ...]:
-        """Return a doubt if the file ends within its last cell, or seems to."""
+        """Return a doubt if the file ends, or seems to end, within its last cell."""
         if is_cut(self.path):
             return (
                 f"the file was cut: it ends within a character of line {line}, and that row may "
@@ -173,17 +172,17 @@ class TextColumns:
         )
 
     def both_orders(self, place: int) -> Array:
-        """Return the seconds (rows, 2) of a column of dates, in both orders of day and month.
+        """Return the seconds (rows, 2) of a date column in both day-month orders.
 
         Raises:
-            RunError: a cell is no date.
+            RunError: a cell is not a date.
         """
         cells = self.read([], place)
         assert cells.labels is not None
         return self._times(place, cells.labels.tolist(), cells.lines)
 
     def dated(self, order: str) -> TextColumns:
-        """Return the same with an order of day and month for dates that have none yet."""
+        """Return a copy with a day-month order for dates that have none yet."""
         clocks = {
             place: replace(clock, order=clock.order or order) if clock.form == "local" else clock
             for place, clock in self.clocks.items()
@@ -191,7 +190,7 @@ class TextColumns:
         return replace(self, clocks=clocks)
 
     def refuse_words(self, column: int) -> None:
-        """Raise RunError if a column that was read, such as the time, holds a word."""
+        """Raise RunError if a column such as the time contains a word."""
         for (other, word), (_, line) in self.words.found.items():
             if other == column:
                 raise RunError(
@@ -210,7 +209,7 @@ class TextColumns:
         return tuple(self.words.line(self.names, rows))
 
     def _times(self, place: int, cells: Sequence[str], lines: NDArray[np.int64]) -> Array:
-        """The seconds (rows, 2) of a column of times, in both orders of day and month."""
+        """Return the seconds (rows, 2) of a column of times, in both day-month orders."""
         try:
             return self.clocks[place].parse(
                 ["" if cell.lower() in EMPTY else cell for cell in cells]
@@ -225,7 +224,7 @@ class TextColumns:
     def _joined(
         self, numbers: Array, places: list[int], times: dict[int, Array]
     ) -> tuple[Array, list[str]]:
-        """Numbers and times in the order that was asked for, and notes on the times."""
+        """Return numbers and times in the requested order, and notes on the times."""
         if not times:
             return numbers, []
         table, notes = np.empty((len(numbers), len(places))), list[str]()
@@ -262,7 +261,7 @@ class TextColumns:
         return cells, [[row[place].strip() for row in rows] for place in asked]
 
     def _fitted(self, line: str) -> str:
-        """A line with as many cells as names, where empty last ones may be added or missing."""
+        """Return a line with one cell per name; empty last cells may be added or missing."""
         cut, mark = len(self.names) - 1, self.delimiter
         if line.count(mark) == cut:
             return line
@@ -273,7 +272,7 @@ class TextColumns:
         return line
 
     def _fast(self, block: list[str], places: list[int]) -> Array | None:
-        """A block by numpy's compiled reader; None where it stumbles or lines differ in cells."""
+        """Parse a block with numpy's compiled reader; None if it fails or lines differ in cells."""
         cut, mark = len(self.names) - 1, self.delimiter
         if self.grouped == "." or "" in block or any(line.count(mark) != cut for line in block):
             return None
@@ -282,7 +281,7 @@ class TextColumns:
         ):
             return None
         for attempt in range(2):
-            if attempt:  # once more with empty cells as NaN
+            if attempt:  # again, with empty cells as NaN
                 text = "\n" + "\n".join(block) + "\n"
                 for old, new in ((mark * 2, f"{mark}nan{mark}"),) * 2 + (
                     (f"\n{mark}", f"\nnan{mark}"),
@@ -301,7 +300,7 @@ class TextColumns:
         return None
 
     def _has_points(self, line: str, places: list[int]) -> bool:
-        """Whether a line of a log with decimal commas has a decimal point in one of the columns."""
+        """Return whether a line has a decimal point in these columns of a decimal-comma log."""
         cells = line.split(self.delimiter)
         return any("." in cells[place] for place in places)
 
@@ -330,7 +329,7 @@ class TextColumns:
         return cells, [[row[place].strip() for row in rows] for place in asked]
 
     def _complete(self, row: list[str], line: int) -> None:
-        """Give a row as many cells as names; only empty last ones may be added or missing."""
+        """Extend or cut a row to one cell per name; only empty last cells may differ."""
         full, count = len(self.names), len(row)
         while len(row) > full and not row[-1].strip():
             row.pop()
@@ -356,7 +355,7 @@ class TextColumns:
         return "the file may be cut short: remove the line, or set skip_last_rows"
 
     def _below(self, word: str | None) -> str:
-        """Return the remedy for lines below the table; with a word, only if one starts so."""
+        """Return the remedy for lines below the table; with `word`, only if one starts with it."""
         below = (
             lines_below(self.path, self.delimiter, len(self.names)) if self.skip_last == 0 else []
         )
@@ -393,7 +392,7 @@ class TextColumns:
         )
 
     def _remedy(self, cell: str, odd: bool) -> str:
-        """Return the remedy for a cell that is no number due to commas or points; else ""."""
+        """Return the remedy for a cell that is no number because of commas or points; else ""."""
         if odd and self.decimal in self.marks.decimals:
             return (
                 "; if its digits are in groups of three, "
@@ -421,7 +420,7 @@ class TextColumns:
         )
 
     def _unclear(self, numbers: Array, places: Sequence[int], count: int) -> None:
-        """Raise RunError if a column (rows, columns) may hold decimals or grouped integers.
+        """Raise RunError if a column of (rows, columns) may hold decimals or grouped integers.
 
         Groups have three digits.
         """
@@ -456,25 +455,24 @@ def open_text(
     skip_last: int,
     order: str | None = None,
 ) -> TextColumns:
-    """Find the table of a text log; arguments that are None are found from the text.
+    """Find the table of a text log; None for an argument means automatic.
 
     Args:
         path: the log.
         delimiter: the separator of cells.
         decimal: `.` or `,`.
         header: whether a line names the columns.
-        skip_rows: lines above the table that are skipped.
-        skip_last: rows at the end that are left out.
-        order: `dmy` or `mdy` of dates such as 5/7/2031; None where the rows decide.
+        skip_rows: lines to skip above the table.
+        skip_last: rows to leave out at the end.
+        order: `dmy` or `mdy` for dates such as 5/7/2031; None: the rows decide.
 
     Raises:
-        RunError: the file is absent, too large, not text, empty, or has no header where one is
-            expected.
+        RunError: the file is absent, too large, not text, empty, or lacks an expected header.
     """
     start = table_lines(path, skip_rows)
     at = next(k for k, line in enumerate(start) if not is_remark(line))
     table = find_table(without_heads(start), delimiter, EMPTY)
-    if table is None:  # no line of numbers: the first line is taken for names
+    if table is None:  # no line of numbers: assume that the first line holds the names
         cut = delimiter or find_delimiter(start[at])
         names = split(start[at], cut)
         table = Table(cut, names, at + 1, at, len(names), len(names))
@@ -526,7 +524,7 @@ def open_text(
 
 
 def _marked(columns: TextColumns, rows: list[str], decimal: str | None) -> TextColumns:
-    """The same columns with the decimal mark and the group mark that the first rows show."""
+    """Return the columns with the decimal and group marks found in the first rows."""
     marks = marks_of(cell for row in rows for cell in split(row, columns.delimiter))
     notes, found = list(columns.notes), decimal or "."
     if decimal is None and "." not in marks.decimals and "," not in marks.groups:

@@ -1,10 +1,10 @@
-"""Read numbers whose digits are in groups of three: `25,039.0`, `25.039,0`, `1'234.5`, `1 234,5`.
+"""Read numbers with digits in groups of three: `25,039.0`, `25.039,0`, `1'234.5`, `1 234,5`.
 
-A cell counts if it cannot mean anything else: it has a decimal mark of another kind as well, or
-several commas. A cell such as `25,039` alone may be a decimal comma. It counts only in a log in
-which other cells are clear: grouped numbers, or decimals with the other mark (`0.05`). A log
-without clear cells whose whole numbers below 1000 stand next to cells such as `1.003` is ambiguous:
-the mapping must state its `decimal`. Pinned by tests/logs/test_thousands.py.
+A cell counts if it has no other reading: it also has another decimal mark, or several commas. A
+cell such as `25,039` alone may be a decimal comma. It counts only if other cells of the log are
+clear: grouped numbers, or decimals with the other mark (`0.05`). A log without clear cells, with
+whole numbers below 1000 next to cells such as `1.003`, is ambiguous, so the mapping must state its
+`decimal`. Pinned by tests/logs/test_thousands.py.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ _LEAST = 3  # different cells of either kind
 
 @dataclass(frozen=True)
 class Marks:
-    """What the first cells of a log show about its marks.
+    """The evidence for decimal and group marks in the first cells of a log.
 
     Attributes:
-        decimals: marks that some cell uses as its decimal mark, without doubt.
+        decimals: marks that some cell certainly uses as a decimal mark.
         alike: mark → a cell such as `1.003`, which is either a decimal or has groups of three
             digits.
         groups: mark → a cell that can only be a number in groups of three digits.
@@ -45,10 +45,7 @@ class Marks:
     groups: Mapping[str, str] = field(default_factory=dict)
 
     def grouped(self, decimal: str) -> tuple[str, str] | None:
-        """Return the mark between groups of digits for this decimal mark, and a cell with it.
-
-        None without any.
-        """
+        """Return the group mark for this decimal mark, and a cell with it; None without any."""
         other = other_mark(decimal)
         if (mark := next((mark for mark in self.groups if mark != decimal), None)) is not None:
             return mark, self.groups[mark]
@@ -60,7 +57,7 @@ class Marks:
 
 
 def marks_of(cells: Iterable[str]) -> Marks:
-    """Return what cells show about the decimal mark and the groups of digits of their log."""
+    """Return the evidence of cells for the decimal and group marks of their log."""
     decimals, alike, groups = set[str](), dict[str, str](), dict[str, str]()
     for cell in cells:
         for mark in ".,":
@@ -79,18 +76,19 @@ def other_mark(mark: str) -> str:
 
 
 def is_alike(cell: str, mark: str) -> bool:
-    """Return whether a cell like `1.003` may be a decimal or groups of three digits."""
+    """Return whether a cell like `1.003` may be a decimal or have groups of three digits."""
     return _ALIKE[mark].fullmatch(cell) is not None
 
 
 def unclear(cells: Sequence[str], mark: str) -> str | None:
-    """Return a cell of a column that is decimal or grouped; None if the column is clear.
+    """Return a cell of a column that may be decimal or grouped; None if the column is clear.
 
-    It is unclear if every cell with the mark looks like a group, and whole numbers below 1000 stand
-    next to them.
+    It is unclear if every cell with the mark resembles a group and the column also holds whole
+    numbers below 1000.
 
     Args:
-        cells: of the column. mark: `.` or `,`, which would be its decimal mark.
+        cells: of the column.
+        mark: the possible decimal mark, `.` or `,`.
     """
     filled = {cell for cell in cells if cell}
     marked = {cell for cell in filled if mark in cell}
@@ -108,10 +106,7 @@ def unclear(cells: Sequence[str], mark: str) -> str | None:
 
 
 def grouping_of(cell: str) -> str | None:
-    """Return the group mark of a cell that is clearly a grouped number: `,`, `.` or `'`.
-
-    Else None.
-    """
+    """Return the group mark of a clearly grouped number, `,`, `.` or `'`; else None."""
     if "," not in cell and not any(c in cell for c in _SPACES):
         return None
     clear = (mark for mark, form in _FORMS.items() if form.fullmatch(cell) and _clear(cell, mark))
@@ -119,17 +114,17 @@ def grouping_of(cell: str) -> str | None:
 
 
 def _clear(cell: str, mark: str) -> bool:
-    """Whether a cell has a decimal mark as well, or several groups."""
+    """Return whether a cell also has a decimal mark, or several groups."""
     return mark == "'" or ("." in cell and "," in cell) or (mark == "," and cell.count(mark) > 1)
 
 
 def plain(cell: str, mark: str | None) -> str | None:
-    """Return a grouped number without its groups and with a decimal point; None if it is none.
+    """Return a grouped number without groups and with a decimal point; None if it is not one.
 
     Args:
         cell: as in the file.
-        mark: between groups, where another cell of the log is clear; None to read only what is
-            clear by itself.
+        mark: the group mark, if another cell of the log is clear; None to accept only cells that
+            are clear by themselves.
     """
     own = grouping_of(cell)
     mark = own or mark

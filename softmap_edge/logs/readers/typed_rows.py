@@ -1,9 +1,9 @@
-"""Read the older OptiTrack CSV (Tracking Tools, ARENA): a row's first cell is its type.
+"""Read the older OptiTrack CSV (Tracking Tools, ARENA), where each row's first cell is its type.
 
-A row `frame` holds index, time (s), the rigid bodies and the markers of one frame, each list after
+A `frame` row holds index, time (s), the rigid bodies and the markers of one frame, each list after
 its count: `frame,INDEX,TIME,BODIES[,id,x,y,z,qx,qy,qz,qw,yaw,pitch,roll …],MARKERS[,x,y,z,id,name
-…]`. A row lists only what was seen, so a marker that is missing from a row was not seen. Units are
-m. Pinned by tests/logs/test_vendor_text.py.
+…]`. A row lists only what was seen, so a marker missing from it was not seen. Units are m. Pinned
+by tests/logs/test_vendor_text.py.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ _TYPES = (
     "trackable",
     "tool",
 )
-BODY = 11  # cells of a rigid body: id, place, quaternion, angles
-MARKER = 5  # cells of a marker: place, id, name
+BODY = 11  # cells of a rigid body: id, position, quaternion, angles
+MARKER = 5  # cells of a marker: position, id, name
 MOST_NAMES = 2000  # bodies and markers of one file
-MOST_CELLS = 20_000_000  # of the table that is held in memory: 160 MB
+MOST_CELLS = 20_000_000  # of the table in memory: 160 MB
 _QUATERNION = ("rotation.x", "rotation.y", "rotation.z", "rotation.w")
 
 
 def is_typed(start: str) -> bool:
-    """Return whether a file that begins so has rows of types."""
+    """Return whether a file with this start has typed rows."""
     kinds = [
         line.split(",", 1)[0].strip().lower() for line in start.split("\n")[:-1] if line.strip()
     ]
@@ -49,13 +49,13 @@ def is_typed(start: str) -> bool:
 
 
 def open_typed(path: Path) -> HeldColumns:
-    """Read the markers and rigid bodies of an export with rows of types.
+    """Read the markers and rigid bodies of an export with typed rows.
 
     Raises:
-        RunError: a row does not hold what its counts state, or the file holds too many names.
+        RunError: a row does not match its counts, or the file holds too many names.
     """
     columns: dict[str, int] = {"frame": 0, "time": 1}
-    # of each row: its columns and their values, end to end
+    # columns and values of all rows, concatenated, and the end of each row
     where, values, ends = array("i"), array("d"), [0]
     for number, line in lines_of(path):
         if line[:6].lower() != "frame,":
@@ -84,7 +84,7 @@ def open_typed(path: Path) -> HeldColumns:
 
 
 def _frame(path: Path, number: int, cells: list[str]) -> dict[str, float]:
-    """The values of one row `frame`, by the name of their column."""
+    """Return the values of one `frame` row by column name."""
     bodies = _count(path, number, cells, 3)
     markers = 4 + BODY * bodies
     count = _count(path, number, cells, markers)

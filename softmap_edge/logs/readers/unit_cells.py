@@ -1,4 +1,4 @@
-"""Refuse a text log whose cells hold a unit behind each number, such as `25.0 mm`, with the remedy.
+"""Reject a text log whose cells have a unit after each number, such as `25.0 mm`.
 
 Pinned by tests/logs/test_unit_cells.py.
 """
@@ -14,22 +14,22 @@ from softmap_edge.files.printable import listed
 from softmap_edge.logs.readers.cells import is_number, is_unit
 
 _CELL = re.compile(r"[+-]?\d[\d.,]*(?:[eE][+-]?\d+)?\s*([^\d\s.,;:/_-]{1,8})")
-_MOST = 0.9  # of the filled cells
-_LEAST = 3  # filled cells
-_MOSTLY = 0.5  # of the filled cells are plain numbers
-_DISTINCT = 0.2  # of the cells differ: labels of a protocol (`10mm`, `20mm`) are few
-_NAMED = 4  # columns that are named
+_MOST = 0.9  # of the filled cells must have the unit
+_LEAST = 3  # filled cells needed
+_MOSTLY = 0.5  # of the filled cells: with more plain numbers the column is read as numbers
+_DISTINCT = 0.2  # of the cells must differ: labels of a protocol (`10mm`, `20mm`) are few
+_NAMED = 4  # columns that are listed
 
 
 def refuse_unit_cells(path: Path, texts: Mapping[str, Sequence[str]]) -> None:
-    """Raise RunError if columns of text hold measured numbers with one unit.
+    """Raise RunError if text columns hold measured numbers with one unit.
 
     Args:
         path: the log.
-        texts: the first cells of each column of text, by name.
+        texts: the first cells of each text column, by name.
 
     Raises:
-        RunError: naming the columns, a cell and the remedy.
+        RunError: lists the columns, a cell and the remedy.
     """
     found = {
         name: unit for name, cells in texts.items() if (unit := unit_behind(cells)) is not None
@@ -46,14 +46,14 @@ def refuse_unit_cells(path: Path, texts: Mapping[str, Sequence[str]]) -> None:
 
 
 def unit_behind(cells: Sequence[str]) -> str | None:
-    """Return the unit behind the numbers of a column; None if they are labels, or have no unit."""
+    """Return the unit after the numbers of a column; None for labels or numbers without unit."""
     filled = [cell for cell in cells if cell]
     units = [
         match[1] for cell in filled if not is_number(cell) and (match := _CELL.fullmatch(cell))
     ]
     if len(filled) < _LEAST or len(set(units)) != 1:
         return None
-    if sum(map(is_number, filled)) > _MOSTLY * len(filled):  # here and there
+    if sum(map(is_number, filled)) > _MOSTLY * len(filled):  # a unit only in some cells
         return (
             units[0]
             if is_unit(units[0]) and (len(units[0]) > 1 or not units[0].isalpha())

@@ -1,13 +1,11 @@
-"""Read text exports with more than names in the head: Qualisys TSV, Nexus CSV, LabVIEW LVM.
-
-Nexus is Vicon's.
+"""Read text exports with extended headers: Qualisys TSV, Vicon Nexus CSV, LabVIEW LVM.
 
 - Qualisys: lines `KEY<tab>value`; `FREQUENCY` is the rate, `MARKER_NAMES` (or `BODY_NAMES`) name
-the columns, in mm.
-- Nexus: the section `Trajectories`, its rate in the line below, names over `X, Y, Z`, a line of
+  the columns, in mm.
+- Nexus: the section `Trajectories`, its rate in the next line, names over `X, Y, Z`, a line of
   units. Other sections (devices, forces) are skipped.
-- LVM: the head states separator and decimal sign; a file without X columns states `Delta_X` of its
-first channel.
+- LVM: the header states separator and decimal mark; a file without X columns states `Delta_X` of
+  its first channel.
 
 Pinned by tests/logs/test_vendor_text.py.
 """
@@ -39,18 +37,18 @@ _BODY = ("x", "y", "z", "roll", "pitch", "yaw", "residual", *(f"rot{k}" for k in
 
 
 def is_qtm(start: str) -> bool:
-    """Return whether a file that begins so is a TSV export of Qualisys Track Manager."""
+    """Return whether a file with this start is a TSV export of Qualisys Track Manager."""
     return start.split("\n", 1)[0].split("\t")[0].strip() in _QTM
 
 
 def is_nexus(start: str) -> bool:
-    """Return whether a file that begins so is a Vicon Nexus CSV: a section and its rate."""
+    """Return whether a file with this start is a Vicon Nexus CSV: a section and its rate."""
     lines = [line.strip(' ,\t\r"').lower() for line in start.split("\n")[:2]]
     return len(lines) == 2 and lines[0] in _SECTIONS and is_number(lines[1])
 
 
 def is_lvm(start: str) -> bool:
-    """Return whether a file that begins so is a LabVIEW measurement file."""
+    """Return whether a file with this start is a LabVIEW measurement file."""
     return start.lstrip().startswith("LabVIEW Measurement")
 
 
@@ -58,7 +56,7 @@ def open_qtm(path: Path) -> TextColumns | PacedColumns:
     """Find the markers or bodies of a TSV export of Qualisys Track Manager.
 
     Raises:
-        RunError: its head is damaged, or its rows do not fit the names.
+        RunError: its header is damaged, or its rows do not match the names.
     """
     cells = [[cell.strip() for cell in line.split("\t")] for line in first_lines(path, _HEAD)]
     at = next((k for k, row in enumerate(cells) if any(row) and all(map(_value, row))), None)
@@ -100,7 +98,7 @@ def open_nexus(path: Path) -> TextColumns | PacedColumns:
     """Find the trajectories of a CSV export of Vicon Nexus.
 
     Raises:
-        RunError: it has no such section, or its head is damaged.
+        RunError: it has no such section, or its header is damaged.
     """
     sections = lines_that(path, lambda line: line.strip(' ,\t\r"').lower() in _SECTIONS)
     begin = next(
@@ -128,11 +126,11 @@ def open_lvm(path: Path, header: bool | None, order: str | None) -> TextColumns 
 
     Args:
         path: the file.
-        header: whether a line names the channels; None to find out.
-        order: `dmy` or `mdy` of dates; None where the rows decide.
+        header: whether a line names the channels; None: detect it.
+        order: `dmy` or `mdy` for dates; None: the rows decide.
 
     Raises:
-        RunError: it holds no rows, or its head is damaged.
+        RunError: it holds no rows, or its header is damaged.
     """
     lines = first_lines(path, _HEAD)
     pairs = [trimmed(split(line, _separator(lines))) for line in lines]
@@ -156,7 +154,7 @@ def open_lvm(path: Path, header: bool | None, order: str | None) -> TextColumns 
 
 
 def _separator(lines: list[str]) -> str:
-    """Return the delimiter that the head states; a tab if it states none."""
+    """Return the delimiter stated in the header; a tab by default."""
     for line in lines:
         if line.startswith("Separator"):
             word = line[len("Separator") :].strip()
