@@ -10,7 +10,7 @@ from typing import Protocol
 
 from softmap_edge.errors import BundleError, SoftmapError
 from softmap_edge.files.npz import archive_names
-from softmap_edge.files.shell import shell_file
+from softmap_edge.files.printable import shell_file
 from softmap_edge.model.bundle import check_folder
 from softmap_edge.robot.remedies import filled
 

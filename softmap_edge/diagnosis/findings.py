@@ -17,7 +17,7 @@ from softmap_edge.errors import ReportError
 from softmap_edge.run.conditions import Bin
 
 T = TypeVar("T")
-_LARGEST = 1e30  # of any number: beyond any robot, and its square is finite
+_LARGEST = 1e300  # of any number: an error that ran away is shown; sums stay finite
 BEYOND = 6  # largest reported power of ten of an e-value
 
 

@@ -34,8 +34,7 @@ from softmap_edge.fem.tendons import (
     tendon_from,
     unit_of,
 )
-from softmap_edge.files.atomic import Document
-from softmap_edge.files.own_text import own_text
+from softmap_edge.files.atomic import Document, own_text
 from softmap_edge.files.toml import parsed, quoted
 
 __all__ = ["Finger", "Region", "Tendon"]

@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import FingerError, brief
 from softmap_edge.fem.foreign_mesh import kind_of, parse
-from softmap_edge.files.atomic import Document
+from softmap_edge.files.atomic import Document, own_text
 from softmap_edge.files.child import ChildFault, in_child
-from softmap_edge.files.own_text import own_text
 
 _MOST_BYTES = 64 << 20  # limit of a mesh file; 60 000 tetrahedra need 4 MB
 _MOST_TEXT = 1 << 20  # limit of a file of guides

@@ -7,6 +7,8 @@ cursor, recolour the terminal, forge a line or fail to encode. Escapes have the 
 
 from __future__ import annotations
 
+import os
+import shlex
 from collections.abc import Iterable
 from typing import Any, TextIO
 from unicodedata import category
@@ -66,3 +68,27 @@ class PrintableStream:
 def raw(stream: TextIO) -> TextIO:
     """Return the stream behind a `PrintableStream`, for output that moves the cursor on purpose."""
     return stream.raw if isinstance(stream, PrintableStream) else stream
+
+
+def shell_word(text: str) -> str:
+    """Return `text` quoted for a shell, on one line.
+
+    Characters that do not print are written as escapes in `$'…'`.
+    """
+    if text.isprintable():
+        return shlex.quote(text)
+    return "$'" + "".join(_shell_escape(c) for c in text) + "'"
+
+
+def shell_file(path: str | os.PathLike[str]) -> str:
+    """Return a file's name quoted for a shell; one that begins with a dash gets `./` in front."""
+    name = os.fspath(path)
+    return shell_word(f"./{name}" if name.startswith("-") else name)
+
+
+def _shell_escape(character: str) -> str:
+    if character in "'\\":
+        return f"\\{character}"
+    if character.isprintable():
+        return character
+    return "".join(f"\\x{byte:02x}" for byte in character.encode("utf-8", "surrogateescape"))

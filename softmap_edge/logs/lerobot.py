@@ -13,8 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from softmap_edge.errors import RunError, brief
-from softmap_edge.files.atomic import Document
-from softmap_edge.files.own_text import own_text
+from softmap_edge.files.atomic import Document, own_text
 from softmap_edge.files.printable import listed
 
 EITHER_UNIT = (

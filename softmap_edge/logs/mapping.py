@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError, brief
-from softmap_edge.files.atomic import Document
-from softmap_edge.files.own_text import own_text
+from softmap_edge.files.atomic import Document, own_text
 from softmap_edge.files.toml import TomlTable, parsed, shown
 from softmap_edge.logs.measured import (
     Column,

@@ -41,9 +41,8 @@ import numpy as np
 
 from softmap_edge import _core
 from softmap_edge.errors import BundleError, CalibrationError, SoftmapError, brief
-from softmap_edge.files.atomic import MOST_TEXT, Document, replacement_of_folder
+from softmap_edge.files.atomic import MOST_TEXT, Document, own_text, replacement_of_folder
 from softmap_edge.files.npz import Arrays, read_npz, write_npz
-from softmap_edge.files.own_text import own_text
 from softmap_edge.model.manifest import (
     LARGEST,
     MAX_EFFECT_BYTES,

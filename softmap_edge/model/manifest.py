@@ -11,8 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from softmap_edge.errors import BundleError, brief
-from softmap_edge.files.atomic import Document
-from softmap_edge.files.own_text import own_text
+from softmap_edge.files.atomic import Document, own_text
 
 # 2: scattered families, bodies without a mesh; 3: user-defined effects, design fields, steps; 4: a
 # residual; 5: networks; 6: a calibration, handles; 7: limits (safety.toml); 8: outputs other than

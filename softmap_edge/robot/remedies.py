@@ -10,8 +10,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-from softmap_edge.files.shell import shell_file
-
 COMMAND = re.compile(r"`softmap\s([^`]+)`")
 OPENS, CLOSES = "([{", ")]}"
 COMPLETES = {
@@ -63,6 +61,8 @@ def filled(text: str, rig: str | None, bundle: str | None = None) -> str:
     """
     if rig is None and bundle is None:
         return text
+    from softmap_edge.files.printable import shell_file  # no part of a loop's imports
+
     given = {"bundle": "DIR" if bundle is None else shell_file(bundle)}
     given |= {} if rig is None else {"rig": shell_file(rig)}
     return COMMAND.sub(lambda found: "`softmap " + _complete(found[1], given) + "`", text)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RobotError, SoftmapError, brief
-from softmap_edge.files.own_text import own_text
+from softmap_edge.files.atomic import own_text
 from softmap_edge.files.toml import TomlTable, parsed
 from softmap_edge.model.elastic_rod import MODES, Coordinates, RodLayout
 

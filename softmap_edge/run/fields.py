@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge.errors import RunError, differing_times
 from softmap_edge.files.atomic import Document
-from softmap_edge.files.printable import one_line
 from softmap_edge.run.output import Output, output_of
 
 if TYPE_CHECKING:
@@ -197,6 +196,8 @@ def plain(name: str, found: str) -> str:
         RunError: it has characters that do not print, or more than a bundle can hold.
     """
     if not found.isprintable():
+        from softmap_edge.files.printable import one_line
+
         raise RunError(
             f"{name}: '{one_line(found[:60])}' holds unprintable characters; give a plain name"
         )

@@ -69,7 +69,7 @@ def test_absurd_numbers_around_an_effect_are_refused(change, tmp_path, capsys):
     assert code == 2 and error.count("\n") == 1 and "diagnose again" in error
 
 
-@pytest.mark.parametrize("value", [1e31, float("-inf"), -1e300])
+@pytest.mark.parametrize("value", [1e301, float("-inf"), -1e308])
 def test_no_number_of_a_document_is_beyond_bounds(value):
     with pytest.raises(ReportError):
         Diagnosis.from_dict(document() | {"unexplained": {"chi2_per_n": value}})

@@ -10,7 +10,7 @@ from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.errors import SoftmapError
 from softmap_edge.fem.finger import Finger
 from softmap_edge.fem.mesh_file import read_guides
-from softmap_edge.files.own_text import own_text
+from softmap_edge.files.atomic import own_text
 from softmap_edge.logs.mapping import read_mapping
 from softmap_edge.robot.drive.command_file import read_commands
 from softmap_edge.robot.servo.rig import Rig, RigServo, read_rig

@@ -11,7 +11,7 @@ from bench_rows import NAMES, rows
 
 from softmap_edge.errors import RunError
 from softmap_edge.logs.guess import guess_mapping
-from softmap_edge.logs.readers import packed, text
+from softmap_edge.logs.readers import lines, packed
 
 MCAP = b"\x89MCAP0\r\n"
 LINE = (",".join(NAMES) + "\n").encode()
@@ -49,7 +49,7 @@ def test_a_file_that_grows_too_far_is_stopped_early(tmp_path, monkeypatch, name,
 
 @pytest.mark.parametrize("ending", ["gz", "zst"])
 def test_a_text_log_is_unpacked_no_further_than_it_is_read(tmp_path, monkeypatch, ending):
-    monkeypatch.setattr(text, "LIMIT", 2**21)
+    monkeypatch.setattr(lines, "LIMIT", 2**21)
     dense = LINE + os.urandom(2**22).hex().encode()
     assert "holds more than 2097152 bytes when unpacked" in stopped(
         pack(tmp_path / f"log.csv.{ending}", dense)

@@ -17,7 +17,7 @@ from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.robot import own_map
 from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.files.atomic import Document
-from softmap_edge.files.shell import shell_file
+from softmap_edge.files.printable import shell_file
 from softmap_edge.model.bundle import save_bundle
 from softmap_edge.model.model import Model
 from softmap_edge.robot.emulated.finger import (

@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from softmap_edge.errors import ServoError, SoftmapError
-from softmap_edge.files.shell import shell_file
+from softmap_edge.files.printable import shell_file
 from softmap_edge.robot.finding import FAULT, OK, WARNING, Line, faulty
 from softmap_edge.robot.link.session import read_key
 from softmap_edge.robot.servo.bus import opened

@@ -23,8 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError, brief
-from softmap_edge.files.atomic import replacement_of
-from softmap_edge.files.own_text import own_text
+from softmap_edge.files.atomic import own_text, replacement_of
 from softmap_edge.run.protocol import Protocol
 
 Floats = NDArray[np.float64]

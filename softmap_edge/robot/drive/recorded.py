@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RecordingWarning, RunError
-from softmap_edge.files.shell import shell_file
+from softmap_edge.files.printable import shell_file
 from softmap_edge.model.model import Model
 from softmap_edge.model.servo_calibration import TICKS, converted
 from softmap_edge.robot.control.recording import Recording, read_recording

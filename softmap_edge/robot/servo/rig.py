@@ -12,9 +12,7 @@ from pathlib import Path
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError, SoftmapError
-from softmap_edge.files.atomic import MOST_TEXT, Document, write_atomically
-from softmap_edge.files.own_text import own_text
-from softmap_edge.files.shell import shell_file
+from softmap_edge.files.atomic import MOST_TEXT, Document, own_text, write_atomically
 from softmap_edge.files.toml import TomlTable, parsed, quoted, written
 from softmap_edge.robot.servo.clock import REAL_TIME, Clock
 from softmap_edge.robot.servo.emergency import Emergency, read_emergency
@@ -177,6 +175,8 @@ def read_rig(path: str | Path) -> Rig:
     except OSError as fault:
         if file.exists():
             raise ServoError(f"{file}: {fault.strerror}; give a rig.toml") from None
+        from softmap_edge.files.printable import shell_file
+
         make = f"make it with `softmap servo setup --rig {shell_file(file)}`"
         raise ServoError(f"{file}: {fault.strerror}; {make}") from None
     except ServoError:
