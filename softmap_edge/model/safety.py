@@ -58,7 +58,7 @@ class Safety:
         jump: two limits of a target's jump: above the first it is reported, above the second
             refused.
         tension: largest of any tendon, N; None without a simulation.
-        stale, hold, slacken, ramp: s, as in docs/reference/safety.md.
+        `stale`, `hold`, `slacken`, `ramp`: s, as in docs/reference/safety.md.
         band: return motion of a goal below which the servo does not reverse.
         turns, burst: reversals per second in the long run, and in a burst.
         simulated: largest tension (N) and strain in the window, and the modulus (MPa) that they
