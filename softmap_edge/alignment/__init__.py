@@ -1,1 +1,1 @@
-"""Camera or motion-capture frame → base frame; templates laid onto point clouds."""
+"""Transform camera or motion-capture frames to the base frame; fit templates to point clouds."""

@@ -1,15 +1,15 @@
-"""Align: the rigid transform from the camera's or mocap's frame to the base, and its sigma.
+"""Find the rigid transform from the camera or mocap frame to the base frame, and its sigma.
 
-Two ways to find it. From **home frames**: what is seen each time the robot rests at home, against
-the model's shape there. From **base points**: markers fixed to the base at known places, or the
-clamped vertices of the template.
+There are two ways. **Home frames**: the points at each rest at home are compared with the model's
+shape there. **Base points**: markers fixed to the base at known positions, or the clamped vertices
+of the template.
 
     groups of frames (visits of home; stretches of time) → a robust pose each → one pose of all
     (`solve.py`)
 
-Units: mm; degrees in reports. Limits: what is rigid in the robot's own rest shape (a twist, half of
-a pre-curve) is taken for the frame where only home frames are given. Pinned by
-tests/alignment/test_align.py over many seeds.
+Units: mm; degrees in reports. Limits: with home frames alone, rigid parts of a wrong rest shape (a
+twist, half of a pre-curve) are attributed to the frame. Pinned by tests/alignment/test_align.py
+over many seeds.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ CLAMPED = 1e-6  # mm above the base: a vertex of a template that is clamped
 
 
 def align_home(run: Run, model: Model) -> Alignment:
-    """Find the frame from what is seen at home, command at rest.
+    """Find the frame from the points at home, command at rest.
 
     Args:
         run: seen in any frame, with at least two visits of home. model: of this robot.

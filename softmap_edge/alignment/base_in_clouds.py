@@ -1,15 +1,13 @@
-"""The pose of the base in the frame of clouds: one rigid pose that all frames share.
-
-It is found from the body near the clamp.
+"""Find the pose of the base in the frame of clouds: one rigid pose shared by all frames.
 
     min Σ_k Σ_i ρ(|q_i − S_k|),  q = R p + t    p: points of cloud k near the base, S_k: the surface
                                                 at u_k + Δu
 
-Near the clamp a finger hardly bends, whatever the model lacks; a displaced base moves all of that
-alike. A command that is off by a constant bends it there too, and is fitted with the pose. Roll and
-height stay as they are: a round body shows neither. Groups of frames give the uncertainty of the
-others. Units: mm, rad; degrees in reports. Limit: what the model lacks within ZONE of the clamp is
-taken for the frame. Pinned by tests/alignment/test_align.py.
+Only the body near the clamp is used. There a finger hardly bends, whatever the model error, and a
+displaced base moves all of it alike. A constant error of a command also bends it there, so it is
+fitted with the pose. Roll and height are not changed, because a round body shows neither. Groups of
+frames give the uncertainty of the others. Units: mm, rad; degrees in reports. Limit: model error
+within ZONE of the clamp is attributed to the frame. Pinned by tests/alignment/test_align.py.
 """
 
 from __future__ import annotations
@@ -34,11 +32,11 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-RIM, ZONE = 0.03, 0.25  # of the template's height: between them lies the part that shows the base
-WIDER = 1.3  # times ZONE: the surface that its points are held against
-GATE = 8.0  # mm from the surface, beyond which a point is something else
-FRAMES, POINTS = 96, 400  # that are looked at, at most: frames, and points of each
-LEAST = 200  # points near the base, of all frames
+RIM, ZONE = 0.03, 0.25  # of the template's height: bounds of the part that shows the base
+WIDER = 1.3  # times ZONE: extent of the surface that its points are compared with
+GATE = 8.0  # mm from the surface: points farther away belong to something else
+FRAMES, POINTS = 96, 400  # frames, and points of each, that are used at most
+LEAST = 200  # points near the base, in all frames
 GROUPS = 8
 ROUNDS, SETTLED = 30, 1e-5
 TUKEY, TO_SIGMA = 4.685, 1.4826
@@ -123,10 +121,10 @@ def align_clouds(run: Run, model: Model) -> Alignment:
 
 
 def in_base(run: Run, model: Model) -> tuple[Run, Alignment | None]:
-    """Return a run of clouds in the base frame, and the pose where its base was clearly displaced.
+    """Return a run of clouds in the base frame, and the pose if its base was clearly displaced.
 
-    Clearly is by CLEAR standard deviations of a turn or a shift, and by LEAST_OFF mm at the tip.
-    Other runs, and clouds that show too little of the base, are returned as they are.
+    Clearly means by CLEAR standard deviations of a rotation or shift, and by LEAST_OFF mm at the
+    tip. Other runs, and clouds that show too little of the base, are returned unchanged.
     """
     if run.points is None:
         return run, None

@@ -1,8 +1,7 @@
-"""What an alignment refuses: other units, mirrors, lines, other robots.
+"""Checks that reject an alignment: other units, mirrors, collinear points, other robots.
 
-Every refusal has its number and its remedy.
-
-Units: mm, rad. Pinned by tests/alignment/test_align_refuses.py.
+Every error states its number and its remedy. Units: mm, rad. Pinned by
+tests/alignment/test_align_refuses.py.
 """
 
 from __future__ import annotations
@@ -18,12 +17,12 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 LINE = 0.02  # of their length: points closer than this to one line do not show the turn about it
-SHORTEST = 1.0  # mm: base points closer together than this are no frame
-WORST_TURN = np.radians(5.0)  # a turn known no better than this is not known
+SHORTEST = 1.0  # mm: base points closer together than this do not define a frame
+WORST_TURN = np.radians(5.0)  # rad: a rotation with a larger uncertainty counts as unknown
 REFUSED = 0.1  # deviation of the distances between points that is too much
-MIRRORED = 0.5  # of what is left: a mirrored frame that leaves less is the truth
-SOUND = 0.9  # of the points, those that are nearest: the measure of a fit
-SHAPE = 0.12  # of the extent: what may be left between the points and the model of the same robot
+MIRRORED = 0.5  # of the residual: a mirrored frame with a smaller one is the true one
+SOUND = 0.9  # of the points, the nearest ones, used to measure the fit
+SHAPE = 0.12  # of the extent: largest residual between points and model of the same robot
 # 97.5 %, 1 to 10 degrees of freedom
 STUDENT = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228)
 

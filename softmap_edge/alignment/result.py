@@ -1,6 +1,6 @@
-"""An alignment that was found, as a person and a document read it, and a run taken into its frame.
+"""The result of an alignment as text and document, and the transform of a run to its frame.
 
-Turns and shifts are small, about the axes and the origin of the base frame, as those of the effect
+Rotations and shifts are small, about the axes and the origin of the base frame, as in the effect
 `mount`; deg, mm.
 """
 

@@ -117,9 +117,9 @@ def solve(
 
 
 def _wander(groups: Groups, inlier: Mask, pose: RigidPose) -> Floats:
-    """Return each point's scatter (N,) between the groups, mm a coordinate.
+    """Return each point's scatter (N,) between the groups, mm per coordinate.
 
-    It is apart from the rigid pose.
+    The rigid pose is removed first.
     """
     count = inlier.sum(axis=0)
     left = np.where(inlier[..., None], pose(groups.source) - groups.target, 0.0)
@@ -147,12 +147,10 @@ def _shape_covariance(
 
 
 def _ruler_covariance(answer: Floats, residual: Floats, inlier: Mask) -> Floats:
-    """Return the covariance (6, 6) of places measured one by one.
+    """Return the covariance (6, 6) of places measured one by one, from the residual.
 
-    They are as wrong as the remaining error shows.
-
-    The pose takes six of the 3 N coordinates, so that of three or four places most of their error
-    is not left.
+    The pose takes six of the 3 N coordinates, so with three or four places the residual shows only
+    a small part of their error.
     """
     known = inlier.any(axis=0)
     # (N, 3) mean over the groups

@@ -1,1 +1,1 @@
-"""Servo ticks → a model's commands, each parameter with its uncertainty, checked held out."""
+"""Map servo ticks to a model's commands, with uncertainties and held-out checks."""

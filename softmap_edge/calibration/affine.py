@@ -1,14 +1,14 @@
-"""A robust linear fit of commands: which coefficients, how well known, and which rows are wrong.
+"""Robust linear fit of commands: coefficients, their uncertainty, and outlier rows.
 
-    u_i = Θ x_i + e_i,   cov e_i = S_i = E + P_i         P_i of each match, E what scatters beyond
-                                                         it (from the MAD)
+    u_i = Θ x_i + e_i,   cov e_i = S_i = E + P_i         P_i of each match, E the additional scatter
+                                                         (from the MAD)
     min Σ ρ(d_i),  d_i² = e_iᵀ S_i⁻¹ e_i             Huber's ρ from least squares, then Tukey's
-                                                     biweight, E as it was
+                                                     biweight with the same E
     cov Θ = k (Σ X_iᵀ S_i⁻¹ X_i)⁻¹,  k = mean(ψ²) / mean(ψ')² n / (n − p)
         of an M-estimator (Huber 1981, 7.6)
 
-A row may hold only some of its commands: those that `observed` marks as false have no weight.
-Units: those of u and x. Limit: beyond a third of wrong rows it fails. Pinned by
+A row may hold only some of its commands: those not marked in `observed` have no weight. Units:
+those of u and x. Limit: it fails with more than a third of outlier rows. Pinned by
 tests/calibration/test_calibration.py.
 """
 
@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# standard deviations; more of Tukey's for each further command
+# standard deviations; WIDER is added to Tukey's for each further command
 HUBER, TUKEY, WIDER = 1.0, 4.685, 0.42
 ROUNDS, SETTLED = 40, 1e-4
 TO_SIGMA = 1.4826  # of the median absolute deviation
-NO_SCATTER = 1e-9  # of the spread of the commands: exact data have no scatter of their own
+NO_SCATTER = 1e-9  # of the spread of the commands: below it, data count as exact
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class AffineFit:
         return np.asarray(design @ self.coefficients.T)
 
     def first(self, features: int) -> AffineFit:
-        """Return the fit of the first features alone, the others as they were found."""
+        """Return the fit of the first features alone, without refitting."""
         cut = (
             np.arange(self.coefficients.size).reshape(self.coefficients.shape)[:, :features].ravel()
         )
@@ -102,11 +102,11 @@ def fit(design: Floats, u: Floats, covariance: Floats, observed: Mask) -> Affine
 
 
 def _scatter(left: Floats, observed: Mask, features: int) -> Floats:
-    """Return the standard deviation (C,) by the median of the residuals.
+    """Return the standard deviation (C,) from the median residual.
 
-    The rows that a fit can make zero are left out.
+    Rows that a fit can make zero are left out.
     """
-    # those that are not observed come last
+    # unobserved ones are sorted last
     own = np.sort(np.where(observed, np.abs(left), np.inf), axis=0)
     count = observed.sum(axis=0)
     middle = np.minimum(features + np.maximum(count - features, 1) // 2, count - 1)

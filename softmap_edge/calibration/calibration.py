@@ -1,16 +1,16 @@
-"""Calibrate: from servo ticks to the model's commands, by a run with ticks and shapes.
+"""Find the map from servo ticks to the model's commands, from a run with ticks and shapes.
 
     frames ─nearest shape─> u* (`matching.py`) ─held commands─> rows (`held.py`) ─robust fit─> u = A
-    (ticks − home) + b (`affine.py`, to start) ─fit to the shapes─> A, b, and a turn about the
-    base's axis with them where the data show it (`map_fit.py`); what is not affine about it
-    (`departures.py`); the error on blocks that were left out
+    (ticks − home) + b (`affine.py`, as a start) ─fit to the shapes─> A, b, and a rotation about the
+    base's axis if the data show it (`map_fit.py`); departures from an affine map
+    (`departures.py`); the error on withheld blocks
 
-Home is given (the ticks that the rig file declares), or the place that the run dwelt at most often,
-its rest; of several that where the model acts least. Another home changes b only. Ticks are those
-of the encoders where the model takes positions and the run has them, else those commanded. Left
-out: commands at the end of the model's range, what hangs slack, frames in motion where dwells are
-enough, rows that do not belong (Tukey). Units: ticks, mm. Limits: what is constant in all shapes (a
-wrong frame, a wrong length) bends A and b; look at the misfit of the shapes. Pinned by
+Home is given (the ticks in the rig file), or it is the place of the most dwells; of several, the
+one where the model's command is smallest. Another home changes only b. Ticks are those of the
+encoders if the model takes positions and the run has them, else the commanded ones. Left out are
+commands at the end of the model's range, slack commands, frames in motion if dwells suffice, and
+outlier rows (Tukey). Units: ticks, mm. Limit: a constant error of all shapes (a wrong frame, a
+wrong length) distorts A and b; check the misfit of the shapes. Pinned by
 tests/calibration/test_calibration.py.
 """
 
@@ -53,18 +53,17 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SPARE = 2  # held commands for each coefficient of a channel, at least
-LINE = 0.03  # of their spread: held commands closer to one line than this say nothing across it
-KNOWN = 3.0  # standard deviations of its smallest stretch that A must have, to be turned round
-# of the robot's length: shapes that are off by more, mean absolute error, are no shapes of this
-# model
+LINE = 0.03  # of their spread: closer to a line, held commands show nothing across
+KNOWN = 3.0  # standard deviations of its smallest singular value that A must have to be inverted
+# of the robot's length: shapes with a larger mean absolute error do not belong to this model
 FAR = 0.1
-# parts of the held commands, in the order they were first met, where a run labels no blocks
+# parts of the held commands, in order of first visit, if a run labels no blocks
 BLOCKS = 5
-LEANING = 5.0  # deg between the orientations of run and model from which that is worth a word
-BASE_ROUNDS = 4  # of finding base and map in turn
-# times what the matches leave of the shapes, from which an error held out is worth a word
+LEANING = 5.0  # deg between the orientations of run and model that cause a warning
+BASE_ROUNDS = 4  # alternations between finding the base and the map
+# times the residual of the matches: a larger held-out error causes a warning
 UNEXPLAINED = 1.5
-SET_ASIDE = 0.2  # share of held commands that do not belong, from which that is worth a word
+SET_ASIDE = 0.2  # share of outlier held commands that causes a warning
 
 
 def calibrate(
@@ -74,10 +73,9 @@ def calibrate(
     window: tuple[float, float] | None = None,
     refine: bool = True,
 ) -> Calibrated:
-    """Find what the ticks of a run are in commands of a model.
+    """Find the map from the ticks of a run to commands of a model.
 
-    If the base clearly is away from the frame of a run of clouds, the pose is removed first and
-    reported.
+    If the base of a run of clouds is clearly displaced, its pose is removed first and reported.
 
     Args:
         model: of this robot, without effects: they come after the calibration.
@@ -118,7 +116,7 @@ def calibrate(
 
 
 def _named(found: Calibrated, run: Run) -> Calibrated:
-    """Return a calibration that names the run by its hash as it was recorded."""
+    """Return a calibration that refers to the run by its hash as recorded."""
     calibration = replace(found.calibration, run=run.hash())
     made: Document = {**found.model.made_from, "calibration": run.hash()}
     calibrated = replace(found.model, calibration=calibration, made_from=made)
@@ -230,7 +228,7 @@ def _ticks(model: Model, run: Run) -> Floats:
 def _home(run: Run, ticks: Floats, seen: SeenMarkers, held: HeldOut) -> Floats:
     """Return the ticks of the place with the most dwells.
 
-    Of several, it is that where the model acts least.
+    Of several, it is the one with the smallest command of the model.
     """
     if not len(held):
         return np.zeros(ticks.shape[1])
@@ -240,7 +238,7 @@ def _home(run: Run, ticks: Floats, seen: SeenMarkers, held: HeldOut) -> Floats:
 
 
 def _doubts(model: Model, run: Run, matches: Matches) -> list[str]:
-    """Say what may be wrong with the matches; refuse shapes that are none of this model."""
+    """Return doubts about the matches; raise CalibrationError if no shape belongs to this model."""
     found = matches.mae_mm[np.isfinite(matches.mae_mm)]
     if not len(found):
         raise CalibrationError(
@@ -273,7 +271,7 @@ def _doubts(model: Model, run: Run, matches: Matches) -> list[str]:
 
 
 def _check_design(held: HeldOut, edge: int, frames: int) -> None:
-    """Refuse held commands that cannot determine A and b."""
+    """Reject held commands that cannot determine A and b."""
     channels = held.ticks.shape[1] if len(held) else 1
     required = SPARE * (channels + 1)
     observed = held.observed.sum(axis=0) if len(held) else np.zeros(1, int)
@@ -300,7 +298,7 @@ def _check_design(held: HeldOut, edge: int, frames: int) -> None:
 
 
 def _check_known(found: AffineFit) -> None:
-    """Refuse a matrix that is not known well enough to be turned round."""
+    """Reject a matrix that is too uncertain to be inverted."""
     a, sigma = found.coefficients[:, :-1], found.sigma[:, :-1]
     least, worst = float(np.linalg.svd(a, compute_uv=False)[-1]), float(np.linalg.norm(sigma, 2))
     if least < KNOWN * worst:
@@ -337,8 +335,8 @@ def _held_out(
 ) -> dict[str, float]:
     """Return the RMS error on held-out blocks: of a command, and of its shape (mm).
 
-    Also return what the `matched` commands (n, C) themselves leave of the same shapes, which no map
-    falls below.
+    Also return the residual of the same shapes at the `matched` commands (n, C), a lower bound for
+    every map.
     """
     sound, at, first = found.weight > 0, np.full(held.u.shape, np.nan), _first(held)
     count = _design(held.ticks, home).shape[1] + (0 if columns is None else columns.shape[1])
@@ -399,7 +397,7 @@ def _blocks(run: Run, held: HeldOut) -> list[NDArray[np.bool_]]:
 
 
 def _unexplained(calibration: Calibration) -> list[str]:
-    """Report a map that misses much that no alternative explains.
+    """Report a map with a large error that no alternative explains.
 
     Its stated uncertainty is then too small.
     """

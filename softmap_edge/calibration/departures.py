@@ -1,21 +1,19 @@
-"""Departures of commands from an affine map of ticks.
+"""Departures from an affine map of ticks: bends, kinks, once-per-turn errors, and memory.
 
-Bends, kinks, once-per-turn errors, and loading-unloading memory.
-
-Each alternative is the affine map with a few more columns. It is tested on held commands that were
-left out:
+Each alternative is the affine map with a few more columns, tested on withheld held commands:
 
     quadratic  r_i r_j              a bend: a spool that fills, a lever
-    kink  |r_c − q|  slack, a stop, a tendon that falls loose, at one of a few ticks q
-    period     sin, cos 2π r_c / P  an eccentric pulley, once a turn of P ticks
+    kink       |r_c − q|            slack, a stop, a loose tendon, at one of a few ticks q
+    period     sin, cos 2π r_c / P  an eccentric pulley, with a period of P ticks
     memory     sign of the last motion of each servo, or of each command: play, friction,
-               hysteresis. No map has it
-    turn       all shapes, about the axis of the base: found with the map (`map_fit.py`), errors in
-               mm, size in degrees
+               hysteresis; no map can describe it
+    turn       rotation of all shapes about the base's axis, fitted with the map (`map_fit.py`);
+               errors in mm, size in degrees
 
-r = ticks − home. An alternative counts where the error held out falls by more than WORTH and by
-CLEAR of its standard errors. Limit: what has no such form, and what is smaller than the scatter of
-the matches. Pinned by tests/calibration/test_calibration.py.
+r = ticks − home. An alternative counts if the held-out error falls by more than WORTH and by CLEAR
+of its standard errors. Limit: departures of other forms, or below the scatter of the matches.
+    Pinned
+by tests/calibration/test_calibration.py.
 """
 
 from __future__ import annotations
@@ -34,15 +32,15 @@ from softmap_edge.model.servo_calibration import TURN
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# quantiles of the ticks at which a kink is looked for, and home
+# quantiles of the ticks at which a kink is tried, in addition to home
 PLACES = (0.2, 0.35, 0.5, 0.65, 0.8)
 FOLDS = 5
 WORTH, CLEAR = 0.15, 3.0
-# of the gain of the best: alternatives of another kind that gain so much explain it as well
+# of the best gain: an alternative of another kind with this gain explains the data as well
 ALSO = 0.8
-# kinds that leave the map affine: A and b are fitted with them
+# kinds that keep the map affine: A and b are fitted together with them
 FITTED_ALONGSIDE = ("memory", "turn")
-WRONG = 5.0  # standard deviations beyond which a held command is no measurement, by any prediction
+WRONG = 5.0  # standard deviations from every prediction at which a held command is an outlier
 SPARE = 4  # held commands for each coefficient that an alternative must have
 
 
@@ -163,11 +161,9 @@ def _folds(place: NDArray[np.int64]) -> list[Mask]:
 
 
 def _distances(design: Floats, held: HeldOut, parts: list[Mask], scatter: Floats) -> Floats | None:
-    """Return how far each row (n,) is from its prediction by the others.
+    """Return the distance of each row (n,) from its prediction by the others.
 
-    It is in standard deviations of an observed command.
-
-    None where too few remain to fit.
+    It is in standard deviations of an observed command; None if too few rows remain to fit.
     """
     off = np.zeros(held.u.shape)
     for test in parts:
@@ -191,12 +187,12 @@ def _departure(
     away: Floats,
     unit: str,
 ) -> Departure:
-    """Describe how far from affine an alternative is, and where."""
+    """Describe the size and place of the departure of an alternative from affine."""
     found: AffineFit = fit(design, held.u, held.covariance, held.observed)
     count = away.shape[1] + 1
     extra = design[:, count:] @ found.coefficients[:, count:].T
     plain = design[:, :count]
-    # what an affine map cannot follow
+    # the part that an affine map cannot describe
     extra -= plain @ np.linalg.lstsq(plain, extra, rcond=None)[0]
     size = np.linalg.norm(extra, axis=1)
     row = int(np.argmax(size))

@@ -1,7 +1,4 @@
-"""A calibration found: the map of ticks, its held commands, and the doubts about it.
-
-The map was fitted to the held commands.
-"""
+"""The result of a calibration: the map of ticks, the held commands it was fitted to, and doubts."""
 
 from __future__ import annotations
 
@@ -43,7 +40,7 @@ class Calibrated:
 
     @property
     def affine(self) -> bool:
-        """Whether nothing speaks against an affine map; a memory and a turn are fitted with it."""
+        """Whether no evidence contradicts an affine map; a memory or a turn is fitted with it."""
         return all(one.kind in FITTED_ALONGSIDE for one in self.departures)
 
     @property

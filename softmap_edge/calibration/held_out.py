@@ -1,11 +1,9 @@
-"""Frames of a run gathered by the held command: the same command counts once.
+"""Group the frames of a run by held command, so that each command counts once.
 
-It does so however often it was seen.
-
-Frames of one dwell share what disturbs them, and dwells at one command share what the model misses
-there. So the rows of a calibration are held commands: places in ticks, with the middle of their
-matches. Where a run does not dwell enough, its places are small cells of ticks and its frames are
-taken in motion. Units: ticks, s, and the commands'.
+Frames of one dwell share their disturbances, and dwells at one command share the model's error
+there. So the rows of a calibration are held commands: places in ticks, with the mean of their
+matches. If a run does not dwell enough, places are small cells of ticks and include frames in
+motion. Units: ticks, s, and those of the commands.
 """
 
 from __future__ import annotations
@@ -23,12 +21,11 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-SAME = 0.005  # of the span of the ticks: dwells closer than this are at one place
-CELL = 0.04  # of the span: size of a place where nothing dwells
-# times as many places as coefficients of a channel: with fewer that are dwelt at, motion is taken
-# too
+SAME = 0.005  # of the span of the ticks: dwells closer than this are one place
+CELL = 0.04  # of the span: size of a place without dwells
+# times as many places as coefficients of a channel; with fewer dwells, frames in motion are used
 ENOUGH = 3
-WINDOW = 0.5  # s over which the way of a servo is taken
+WINDOW = 0.5  # s over which the direction of a servo is determined
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +63,7 @@ class SeenMarkers:
 
 
 def places(run: Run, ticks: Floats, usable: Mask) -> SeenMarkers:
-    """Say where each usable frame of a run was, by the ticks (T, C) of its record."""
+    """Return the place of each usable frame of a run, from the ticks (T, C) of its record."""
     state = conditions(run, ticks)
     span = np.maximum(np.ptp(ticks, axis=0), 1.0)
     still = np.flatnonzero(usable & ~state.moving)
@@ -82,7 +79,7 @@ def places(run: Run, ticks: Floats, usable: Mask) -> SeenMarkers:
 def gather(seen: SeenMarkers, matches: Matches, direction: Floats | None = None) -> HeldOut:
     """Return the held commands of a run: one for each place.
 
-    With `direction` (K, m) of the frames, one for each place and direction.
+    With `direction` (K, m) of the frames, there is one for each place and direction.
     """
     way = np.zeros((len(seen.frame), 0)) if direction is None else direction[seen.frame]
     keys = np.column_stack([seen.place, way])
@@ -103,7 +100,7 @@ def gather(seen: SeenMarkers, matches: Matches, direction: Floats | None = None)
 
 
 def visits(run: Run, ticks: Floats, seen: SeenMarkers) -> Index:
-    """Return how often each place was dwelt at, by its number."""
+    """Return the number of dwells at each place, by its number."""
     visit = conditions(run, ticks).visit[seen.frame]
     pairs = np.unique(np.column_stack([seen.place, visit]), axis=0)
     return np.bincount(pairs[:, 0])

@@ -1,16 +1,16 @@
-"""The map of ticks fitted to the shapes themselves: matched commands start it, shapes decide.
+"""Fit the map of ticks to the shapes themselves, starting from the matched commands.
 
     min Σ_k ρ(d_k)    Y_k = Rz(φ) f(A r_k + b) + left_k,   d_k² = g_kᵀ H_k⁻¹ g_k,   H_k = Jᵀ W J,
         g_k = Jᵀ W left_k
     var φ = [H⁻¹ (Σ_k s_k s_kᵀ) H⁻¹] n / (n − p)    of an M-estimator (Huber 1981, 7.6), s_k = the
                                                     score of each row
 
-d_k is how far a held command is from the map, in mm of shape: what no command could follow does not
-count. A command that hangs slack hardly moves the shape; matched, it jumps over the full slack for
-a little that the model lacks, and a fit to matched commands follows. Here it weighs as much as it
-moves. φ is a turn of all shapes about the base's axis, fitted with the map on request: tendons at
-other angles about the axis, or the roll of the frame. Units: mm, ticks, rad. Pinned by
-tests/calibration/test_calibration.py.
+d_k is the distance of a held command from the map, in mm of shape; errors that no command can
+correct do not count. A slack command hardly moves the shape. When matched, it jumps over the full
+slack because of small model errors, and so does a fit to matched commands. Here its weight is its
+effect on the shape. φ is a rotation of all shapes about the base's axis, fitted with the map on
+request: tendons at other angles about the axis, or the roll of the frame. Units: mm, ticks, rad.
+Pinned by tests/calibration/test_calibration.py.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-EACH, MOST = 3, 600  # frames of a held command, and of all of them, that are fitted to
+EACH, MOST = 3, 600  # frames of each held command, and in total, used in the fit
 ROUNDS = 30
-EXACT = 1e-6  # mm: a smaller scatter does not count
+EXACT = 1e-6  # mm: smaller scatter is ignored
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,10 +57,7 @@ class MapFit:
 
 
 class Sights:
-    """What a map is fitted to: a few frames of each held command.
-
-    With their ticks from home, and the shapes of the model.
-    """
+    """The data of a map fit: a few frames of each held command, ticks from home, and shapes."""
 
     def __init__(
         self, model: Model, run: Run, held: HeldOut, seen: SeenMarkers, home: Floats
@@ -121,9 +118,9 @@ class Sights:
 
 
 def turned_shapes(sights: Sights, start: Floats, blocks: list[Mask]) -> list[Departure]:
-    """Return the share of held-out commands' error that a turn of all shapes explains.
+    """Return the share of held-out error that a rotation of all shapes explains, if significant.
 
-    The turn is about the axis, and must be clear.
+    The rotation is about the axis of the base.
     """
     error, features = np.full((2, sights.rows), np.nan), start.shape[1]
     for test in blocks:
@@ -158,7 +155,7 @@ def turned_shapes(sights: Sights, start: Floats, blocks: list[Mask]) -> list[Dep
 
 
 def fit_map(sights: Sights, start: Floats, turned: bool, use: Mask) -> MapFit:
-    """Fit A and b (C, C + 1), and a turn where it is asked, to the held commands `use` (rows,)."""
+    """Fit A and b (C, C + 1), and optionally a rotation, to the held commands `use` (rows,)."""
     channels, features = start.shape
     size = np.maximum(np.sqrt(np.mean(sights.design**2, axis=0)), 1e-300)
     # what a coefficient moves

@@ -1,16 +1,15 @@
-"""Which command of the model gives the shape that was seen.
+"""Find the model's command for each measured shape: the nearest of a grid, then the best between.
 
-It is the nearest shape of a grid, then the best one between.
-
-    j*(k) = argmin_j MAE(Y_k, f(u_j))  over the vertices seen
+    j*(k) = argmin_j MAE(Y_k, f(u_j))  over the seen vertices
         nearest of the grid (SoftMap, Data Alignment)
     u*(k) = argmin_u Σ w (Y_k − f(u))²,  l ≤ u ≤ h  Levenberg-Marquardt from there, w = 1 / sigma²
 
-The paper stops at j*: its answer is off by up to half a step of the grid, and by more between
-shapes that are alike. f is the prior of the model, with its residual if it has one, in the
-orientation of the run; loads are not in it. A cloud does not show the roll of a round finger
-(`roll_seen` false): a turn of each section about the body is then left out of the residuals and of
-the slopes. Units: mm, and the commands'. Pinned by tests/calibration/test_calibration.py.
+The paper stops at j*: its error is up to half a step of the grid, and more between similar shapes.
+f is the prior of the model, with its residual if any, in the orientation of the run, without loads.
+A cloud does not show the roll of a round finger (`roll_seen` false), so the rotation of each
+section about the body is removed from residuals and slopes. Units: mm, and those of the commands.
+    Pinned by
+tests/calibration/test_calibration.py.
 """
 
 from __future__ import annotations
@@ -38,17 +37,17 @@ Index = NDArray[np.int64]
 
 # of the grid in each channel, and shapes at most; 41 is the grid of our own sweeps
 STEPS, MOST_SHAPES = 41, 1700
-FEW = 150  # points by which the nearest shape is chosen where it is refined anyway
+FEW = 150  # points used for the nearest shape if it is refined afterwards
 ROUNDS = 25  # of Levenberg-Marquardt
-SETTLED = 1e-5  # of the range of a command: smaller steps end it
-EDGE = 1e-3  # of the range: commands nearer to its end are cut off there
+SETTLED = 1e-5  # of the range of a command: smaller steps end the iteration
+EDGE = 1e-3  # of the range: closer to its end, a command counts as cut off
 # of its range: a command that moves the shape over so much by less than MOVES of what is usual, on
 # one
 STEP = 0.025
 MOVES = 0.2  # side or the other, is slack there: shapes do not determine it
 USUAL = 200  # commands that say what is usual
 CHUNK = 4_000_000  # numbers of one difference: 32 MB
-LEAST_SEEN = 0.1  # share of the points that must be seen for a frame to be matched
+LEAST_SEEN = 0.1  # share of the points that a matched frame must show
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +112,7 @@ def match(model: Model, run: Run, refine: bool = True) -> Matches:
     lost = count < max(3.0, LEAST_SEEN * visible.shape[1])
     u[lost], covariance[lost], mae[lost] = np.nan, np.nan, np.nan
     reach = EDGE * (high - low)
-    # what hangs slack may be anywhere
+    # a slack command may have any value
     edge = (observed & ((u <= low + reach) | (u >= high - reach))).any(axis=1)
     return Matches(u, covariance, mae, np.asarray(edge, np.bool_), observed)
 
@@ -121,12 +120,10 @@ def match(model: Model, run: Run, refine: bool = True) -> Matches:
 def linearised(
     model: Model, run: Run, matches: Matches, frames: Index, commands: Floats, turn: float
 ) -> Matches:
-    """Return the matches, some frames (F,) updated by one Gauss-Newton step.
+    """Return the matches, some frames (F,) updated by one Gauss-Newton step from commands (F, C).
 
-    The step begins at commands (F, C).
-
-    What hangs slack where a map puts it stays there, and does not jump over the slack for what the
-    model lacks. `turn` in rad: of all shapes about the axis of the base.
+    Commands that are slack in the map stay there, so model errors do not make them jump over the
+    slack. `turn` (rad) rotates all shapes about the axis of the base.
     """
     command, covariance, observed = (
         matches.command.copy(),

@@ -1,18 +1,17 @@
 """Find the line through the middle of a body from its points alone.
 
-This needs no mesh; the body may be in any orientation, straight or bent at rest.
-
-Order along the body: distances over a graph of near neighbours, from the base. Line: the polynomial
-curve from which the points' distances are nearest to a smooth radius ρ(s), by Gauss-Newton; the z
-axis or a curve of lower degree where it does as well. (A curve that is merely near to the points, a
-principal curve, winds along the surface of a tube.) How the line moves in another shape of the same
-points is linear in them: least squares of
+No mesh is needed; the body may have any orientation and may be bent at rest. The order along the
+body comes from distances over a graph of near neighbours, starting at the base. The line is the
+polynomial curve whose distances to the points are nearest to a smooth radius ρ(s), found by
+Gauss-Newton; the z axis or a curve of lower degree is taken if it fits as well. (A principal curve,
+which is merely near the points, winds along the surface of a tube.) The motion of the line in
+another shape of the same points is linear in them, by least squares of
 
     p_i = c(s_i) + a(s_i) ρ_i cos φ_i + b(s_i) ρ_i sin φ_i
 
-with polynomials c, a, b along the body, so that points that lie unevenly around it do not pull the
-line aside. Units: mm. Limits: a body at least some three radii long; fewer than eight points are
-taken as the line itself, one behind the other. Pinned by tests/geometry/test_centreline.py.
+with polynomials c, a, b along the body. So points that are unevenly distributed around it do not
+shift the line. Units: mm. Limits: the body must be at least some three radii long; fewer than eight
+points are taken as the line itself, in sequence. Pinned by tests/geometry/test_centreline.py.
 """
 
 from __future__ import annotations
@@ -31,11 +30,11 @@ Floats = NDArray[np.float64]
 CHAIN = 8  # fewer points than this are a chain of markers
 MARKERS = 24  # up to this many points each is a feature of its own
 CHORDS = 24  # pieces of the line on which loads are carried
-SLIM = 0.01  # of the length: points this near to the line are on it
+SLIM = 0.01  # of the length: points this close to the line are on it
 AS_GOOD = 1.1  # a simpler line is taken if its unevenness is at most this multiple of the least
 GRAPH = 1500  # points at most in the graph
 NEIGHBOURS = 8
-FAR = 0.5  # of the body's extent: points all farther from the base than this do not begin there
+FAR = 0.5  # of the body's extent: if all points are farther from the base, they do not begin there
 DEGREE, SIDE_DEGREE, CURVE_DEGREE, RADIUS_DEGREE = 8, 3, 4, 2
 ROUNDS = 15
 ONE_PLACE = 1e-6  # mm; rounding moves points by less
@@ -171,10 +170,7 @@ def _cloud(rest: Floats, base: Floats) -> Centreline:
 
 
 def _posture(line: Floats) -> tuple[float, float]:
-    """Return how a body lies and bends.
-
-    The lean (degrees) of the chord from end to end against z, and how far (mm) the line leaves it.
-    """
+    """Return the lean (degrees) of the chord from end to end against z, and the line's bow (mm)."""
     chord = line[-1] - line[0]
     unit = chord / max(float(np.linalg.norm(chord)), 1e-300)
     off = line - line[0]
@@ -273,9 +269,9 @@ def _fitted(points: Floats, order: Floats, degree: int) -> Floats:
 
 
 def _unevenness(fit: Floats, points: Floats) -> float:
-    """RMS deviation (mm) of the points' distances from a smooth radius.
+    """Return the RMS deviation (mm) of the points' distances from a smooth radius.
 
-    A little of the distance itself is added.
+    A small part of the distance itself is added.
     """
     foot, x = _feet(fit, points)
     distance = np.linalg.norm(points - foot, axis=1)
@@ -284,7 +280,7 @@ def _unevenness(fit: Floats, points: Floats) -> float:
     return float(np.sqrt(np.mean(rest**2)) + SLIM * np.sqrt(np.mean(distance**2)))
 
 
-SAMPLES = np.linspace(-1.0, 1.0, 401)  # where a curve is looked at
+SAMPLES = np.linspace(-1.0, 1.0, 401)  # at which a curve is sampled
 
 
 def _unit(s: Floats) -> Floats:

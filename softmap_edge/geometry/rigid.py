@@ -52,7 +52,7 @@ class RigidPose:
         return RigidPose(self.rotation @ first.rotation, turned + self.shift)
 
     def inverse(self) -> RigidPose:
-        """Return the pose that undoes this one."""
+        """Return the inverse pose."""
         back = np.swapaxes(self.rotation, -1, -2)
         return RigidPose(back, -np.einsum("...ij,...j->...i", back, self.shift))
 

@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 SECTIONS = 9
 REACH = 8.0  # mm: about the distance between two rings of vertices
 NEGLIGIBLE = 1e-4  # of the largest kernel value
-# How many times too long distances are that are in another unit than mm.
+# factors of distances that are in another unit than mm
 TIP_SHARE = 0.05  # of the vertices: those that move most
 UNITS = {
     1e-3: "metres",
@@ -32,9 +32,9 @@ UNITS = {
 }
 # of the largest singular value: the least at which mean, cos and sin are distinguished
 ALONE = 1e-3
-UNIT_FRAMES = 60  # on which the size of a run's points is found
-NEAR_UNIT = 0.3  # by how much shapes that bend may miss that number
-STALK = 0.25  # of the template's extent: a marker farther from it is not on the robot
+UNIT_FRAMES = 60  # frames used to measure the size of a run's points
+NEAR_UNIT = 0.3  # relative deviation from that number allowed for shapes that bend
+STALK = 0.25  # of the template's extent: a marker farther away is not on the robot
 
 
 @dataclass(frozen=True)

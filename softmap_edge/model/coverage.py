@@ -58,7 +58,7 @@ class Coverage:
         )
 
     def excess(self, acting: Floats) -> Floats:
-        """Return the leverage (n,) of effective commands (n, C), relative to the largest trained."""
+        """Return the leverage (n,) of effective commands (n, C) over the largest trained."""
         features = _features((acting - self.middle) / self.half, self.basis)
         return np.asarray(((features @ self.root) ** 2).sum(axis=1) / self.most[0])
 

@@ -454,7 +454,7 @@ class Model:
         )
 
     def features_at(self, effective: Floats, run: Run) -> Floats:
-        """Return the prior's features (K, V, 3) mm at effective commands (K, C), for a run's conditions."""
+        """Return the prior's features (K, V, 3) mm at effective commands (K, C) of a run."""
         chain, predictor = _core.Chain([], self.channels), self.view(run).predictor
         return np.asarray(
             predictor.predict(chain, np.zeros((1, 0)), self._inputs_at(effective, run))[0]

@@ -76,7 +76,7 @@ def tip(
     load: float,
     temperature: float,
 ) -> Shape:
-    """Return the tip (3,) mm in the base frame for an effective command and a chain's shape effects.
+    """Return the tip (3,) mm in the base frame for an effective command and shape effects.
 
     A network is not tabulated, so its slopes are exact.
 

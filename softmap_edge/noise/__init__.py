@@ -1,1 +1,1 @@
-"""Noise of a run: repeats, jitter, motion at rest, and the floor below which no model can go."""
+"""Noise of a run: repeats, jitter, motion at rest, and the noise floor of all models."""

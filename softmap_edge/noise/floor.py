@@ -35,10 +35,10 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 POINTS = 40  # a sample that shows the noise of all points
-MIN_PAIRS = 15  # fewer replicates do not give the noise
+MIN_PAIRS = 15  # replicates; fewer do not give the noise
 DEGREE = 5  # along the body, of the smooth part of a residual
-SAME = 0.01  # of the largest command: closer than this counts as the same command
-BOUND = "an upper bound"  # how the origin of a floor ends that noise alone does not reach
+SAME = 0.01  # of the largest command: commands that differ by less are equal
+BOUND = "an upper bound"  # suffix of the source of a floor that includes more than noise
 
 
 def noise_floor(
@@ -84,10 +84,7 @@ def rms(squares: Floats) -> float:
 
 @dataclass(frozen=True)
 class PointNoise:
-    """The noise of a point: `mm`, the RMS distance from its own mean, and its `source`.
-
-    The source is what it was estimated from.
-    """
+    """The noise of a point: `mm`, RMS distance from its own mean, and the `source` of the estimate."""
 
     mm: float
     source: str
@@ -106,10 +103,7 @@ def noise_of_points(run: Run) -> PointNoise | None:
 
 
 def noise_of_runs(runs: Sequence[object]) -> list[float | None]:
-    """Return `noise_of_points` of each run in mm, for the document of a diagnosis.
-
-    None where it is not known.
-    """
+    """Return `noise_of_points` of each run (mm) for a diagnosis document; None if unknown."""
     found = [noise_of_points(run) if isinstance(run, Run) else None for run in runs]
     return [None if one is None else one.mm for one in found]
 
@@ -155,11 +149,9 @@ def some_points(visible: Mask) -> NDArray[np.intp]:
 
 
 def memoryless_floor(run: Run, state: Conditions, seen: Floats, visible: Mask) -> Repeats | None:
-    """Return the RMS scatter of points (K, N, 3) over repeats of a command.
+    """Return the RMS scatter of points (K, N, 3) over repeated commands; None with too few repeats.
 
-    None where too few are repeated.
-
-    This is the floor of every model without memory on this run.
+    This is the floor of every memoryless model on this run.
     """
     some = some_points(visible)
     values = np.where(visible[:, some, None], seen[:, some], np.nan).reshape(len(seen), -1)

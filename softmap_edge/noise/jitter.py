@@ -1,18 +1,18 @@
 """Jitter of the frame of reference with a memory, estimated between visits of one pose.
 
     y = q(pose) + trend(t) + J(t) + e  six rigid coordinates of a settled frame, about the base
-    J   Ornstein-Uhlenbeck, one memory τ, covariance (6, 6);  e
-        white, from the part that no rigid motion explains
+    J: Ornstein-Uhlenbeck, one memory τ, covariance (6, 6)
+    e: white, from the part that no rigid motion explains
     trend: 1, t, t² of each run: a smooth trend over the run is drift or creep, not jitter
 
 The coordinates are fitted together with the motions that commands cause (the modes of a smooth map
-from commands to shapes), so that play, creep and every other effect on the drive cancel out. Memory
-and variances are those of highest likelihood in the eigenbasis of the detrended correlation
-(Lindstrom & Bates 1988, doi:10.1080/01621459.1988.10478693): two numbers for turns and shifts alike
-in all directions, one more for each axis that clearly differs. Units: mm, rad, s. Limits: jitter is
-not detected with fewer than nine features or without revisited poses; a memory longer than an
-eighth of the run is a trend. Pinned by tests/noise/test_jitter.py with jitter of known covariance
-and memory.
+from commands to shapes), so effects on the drive such as play and creep cancel. Memory and
+variances maximise the likelihood in the eigenbasis of the detrended correlation (Lindstrom & Bates
+1988, doi:10.1080/01621459.1988.10478693): one variance for rotations and one for shifts, equal in
+all directions, and one more for each axis that clearly differs. Units: mm, rad, s. Limits: jitter
+    is not
+detected with fewer than nine features or without revisited poses; a memory longer than an eighth of
+the run is a trend. Pinned by tests/noise/test_jitter.py with jitter of known covariance and memory.
 """
 
 from __future__ import annotations
@@ -32,23 +32,23 @@ Mask = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
 RIGID = 6
-# s: memories that are tried; 0 is new in each frame
+# s: trial memories; 0 is independent jitter in each frame
 MEMORIES = (0.0, 0.3, 0.6, 1.2, 2.5, 5.0, 10.0, 20.0, 40.0)
 LONGEST = 0.125  # of the duration: a longer memory is a trend
-# variances that are tried, in units of the white part
+# trial variances, in units of the white part
 SIZES = np.r_[0.0, np.geomspace(1e-2, 1e4, 61)]
-REVISITS = 4  # visits beyond the first of each pose below which nothing is estimated
+REVISITS = 4  # visits beyond the first of each pose; with fewer, nothing is estimated
 FRAMES = 300  # settled frames at most in the likelihood
 # log-likelihood that jitter must gain; it fits seven numbers (chi² 24 of 7: 1 in 1000)
 CLEAR = 12.0
 # gain required for a separate variance of an axis (1 in 100), and for a memory
 AXIS, KEPT = 3.3, 5.0
-STRONG = 2.0  # variances of the white part that jitter without a memory must have in some axis
+STRONG = 2.0  # white variances that memoryless jitter must reach in some axis
 COMMANDED, LEAST_MODE = 4, 0.005  # commanded modes at most, and the least size against the first
-UNSEEN = 1e-9  # of the white variance: for a turn that the points do not show
-# mm RMS that the frame, and commanded motion, may move the points: a turn
+UNSEEN = 1e-9  # of the white variance: for a rotation that the points do not show
+# mm RMS by which the frame, and commanded motion, may move the points: a rotation that the points
+# do not show, as with markers on one line, stays near zero
 RIGIDLY, FARTHEST = 3.0, 300.0
-# that the points do not show, as of markers on one line, stays near zero and does not blow up
 SPARE = 2  # features that must remain to show the white part
 DEGREE, MANY = 3, 3  # of the smooth map, and the channels above which it has no products
 

@@ -16,7 +16,7 @@ from softmap_edge.logs.readers.cells import is_number, is_unit
 _CELL = re.compile(r"[+-]?\d[\d.,]*(?:[eE][+-]?\d+)?\s*([^\d\s.,;:/_-]{1,8})")
 _MOST = 0.9  # of the filled cells must have the unit
 _LEAST = 3  # filled cells needed
-_MOSTLY = 0.5  # of the filled cells: with more plain numbers the column is read as numbers
+_MOSTLY = 0.5  # of the filled cells: with more plain numbers, only a known unit counts
 _DISTINCT = 0.2  # of the cells must differ: labels of a protocol (`10mm`, `20mm`) are few
 _NAMED = 4  # columns that are listed
 
