@@ -133,7 +133,7 @@ def test_a_template_with_wrong_handles_is_refused(handles, says, tmp_path):
 
 def test_a_finger_file_of_megabytes_is_refused(tmp_path):
     (tmp_path / "finger.toml").write_text("#" * 2_000_000)
-    with pytest.raises(FingerError, match="longer than"):
+    with pytest.raises(FingerError, match="more than 1000000 bytes"):
         Finger.load(tmp_path / "finger.toml")
 
 
