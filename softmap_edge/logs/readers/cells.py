@@ -6,6 +6,7 @@ import csv
 import re
 
 from softmap_edge.logs.mapping import ANGLE, LENGTH, TIME
+from softmap_edge.logs.readers.spellings import is_hex, with_minus
 from softmap_edge.logs.readers.thousands import grouping_of
 from softmap_edge.logs.time_text import is_time
 from softmap_edge.logs.unit_words import LENGTH_WORDS
@@ -60,9 +61,10 @@ def find_delimiter(line: str) -> str:
 def is_number(cell: str) -> bool:
     """Return whether a cell is a number.
 
-    It may have a decimal point or comma, or clear groups of digits.
+    It may have a decimal point or comma, or clear groups of digits, or be hexadecimal (`0x1F`).
     """
-    return is_plain(cell.replace(",", ".")) or grouping_of(cell) is not None
+    cell = with_minus(cell)
+    return is_plain(cell.replace(",", ".")) or grouping_of(cell) is not None or is_hex(cell)
 
 
 def is_plain(cell: str) -> bool:

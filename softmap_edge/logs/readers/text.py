@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
+from softmap_edge.files.printable import listed
 from softmap_edge.logs.readers.between import Between, without_heads
 from softmap_edge.logs.readers.cells import find_delimiter, is_number, is_plain, split
 from softmap_edge.logs.readers.clock_cells import clocks_of
@@ -29,6 +30,12 @@ from softmap_edge.logs.readers.ending import RECENT, cut_within, lines_below
 from softmap_edge.logs.readers.header import Table, find_table, is_remark, table_lines, widths_of
 from softmap_edge.logs.readers.heads import again_words, names_again, refuse_rows_above
 from softmap_edge.logs.readers.lines import blocks, first_lines, held_back
+from softmap_edge.logs.readers.spellings import (
+    hex_columns,
+    spelling_remedy,
+    with_minus,
+    without_hex,
+)
 from softmap_edge.logs.readers.thousands import Marks, is_alike, marks_of, other_mark, unclear
 from softmap_edge.logs.readers.thousands import plain as ungrouped
 from softmap_edge.logs.readers.words import EMPTY, Words, is_text, is_word
@@ -39,6 +46,7 @@ from softmap_edge.logs.time_text import (
 
 _HEADS = 60  # lines above the rows that are compared with the lines between them
 NO_NUMBER = "; use one decimal mark and no marks between groups of digits, or export the log again"
+_LISTED = 4  # columns that are named in a note
 _FIRST = 200  # rows whose text decides the content of a column
 
 
@@ -67,6 +75,7 @@ class TextColumns:
     # lines above the rows without numbers; loggers repeat them
     head: tuple[str, ...] = ()
     grouped: str | None = None  # the separator of groups of three digits
+    hexed: frozenset[int] = frozenset()  # columns of hexadecimal integers
     marks: Marks = field(default_factory=Marks)  # the findings in the first rows
     stated: bool = False  # whether the mapping states the decimal mark
 
@@ -83,7 +92,7 @@ class TextColumns:
     def _first_rows(self, rows: int) -> list[list[str]]:
         """Return the cells of the first rows that are full."""
         lines = [line for line in first_lines(self.path, rows, self.first) if line.strip()]
-        cells = [split(self._fitted(line), self.delimiter) for line in lines]
+        cells = [split(self._fitted(with_minus(line)), self.delimiter) for line in lines]
         return [row for row in cells if len(row) == len(self.names)]
 
     def with_clocks(self, order: str | None) -> TextColumns:
@@ -91,7 +100,15 @@ class TextColumns:
 
         `order` (dmy, mdy) applies to dates like 5/7/2031.
         """
-        clocks = clocks_of(self._first_rows, order)
+        clocks, hexed = clocks_of(self._first_rows, order), hex_columns(self._first_rows(_FIRST))
+        if hexed:
+            named = listed([self.names[place] for place in sorted(hexed)], _LISTED)
+            note = f"hexadecimal numbers are read in {named}"
+            return replace(self, hexed=hexed, notes=(*self.notes, note))._timed(clocks)
+        return self._timed(clocks)
+
+    def _timed(self, clocks: dict[int, TimeText]) -> TextColumns:
+        """Return the same with known columns of dates and times."""
         units = {self.names[place]: "s" for place in clocks}
         return replace(self, clocks=clocks, units=self.units | units) if clocks else self
 
@@ -245,11 +262,15 @@ class TextColumns:
     def _block(
         self, block: list[str], numbers: NDArray[np.int64], places: list[int], asked: list[int]
     ) -> tuple[Array, list[list[str]]]:
+        if not all(map(str.isascii, block)):
+            block = list(map(with_minus, block))
         if self.delimiter == " ":
             block = [" ".join(line.split()) for line in block]
         cut, mark = len(self.names) - 1, self.delimiter
         if any(line.count(mark) != cut for line in block):
             block = [self._fitted(line) for line in block]
+        if hexed := [place for place in places if place in self.hexed]:
+            block = without_hex(self.path, block, self.delimiter, hexed, numbers.tolist())
         cells = self._fast(block, places) if places else np.empty((len(block), 0))
         if cells is None or (
             asked and any('"' in line or line.count(mark) != cut for line in block)
@@ -399,9 +420,11 @@ class TextColumns:
                 f'set decimal = "{self.decimal}" in the mapping'
             )
         if "," not in cell:
-            return NO_NUMBER if odd else ""
+            return NO_NUMBER if odd else spelling_remedy(cell)
         comma = self.decimal == "." and "." not in self.marks.decimals and is_number(cell)
-        return '; set decimal = "," in the mapping' if comma else NO_NUMBER
+        if comma:
+            return '; set decimal = "," in the mapping'
+        return spelling_remedy(cell) or NO_NUMBER
 
     def _contradicted(self) -> tuple[str, ...]:
         """Return a doubt if the mapping's decimal mark only separates digit groups in the log."""
@@ -525,7 +548,7 @@ def open_text(
 
 def _marked(columns: TextColumns, rows: list[str], decimal: str | None) -> TextColumns:
     """Return the columns with the decimal and group marks found in the first rows."""
-    marks = marks_of(cell for row in rows for cell in split(row, columns.delimiter))
+    marks = marks_of(cell for row in rows for cell in split(with_minus(row), columns.delimiter))
     notes, found = list(columns.notes), decimal or "."
     if decimal is None and "." not in marks.decimals and "," not in marks.groups:
         found = (

@@ -5,15 +5,14 @@ Pinned by tests/logs/test_unit_cells.py.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from softmap_edge.errors import RunError
 from softmap_edge.files.printable import listed
 from softmap_edge.logs.readers.cells import is_number, is_unit
+from softmap_edge.logs.readers.spellings import UNIT_CELL
 
-_CELL = re.compile(r"[+-]?\d[\d.,]*(?:[eE][+-]?\d+)?\s*([^\d\s.,;:/_-]{1,8})")
 _MOST = 0.9  # of the filled cells must have the unit
 _LEAST = 3  # filled cells needed
 _MOSTLY = 0.5  # of the filled cells: with more plain numbers, only a known unit counts
@@ -37,7 +36,7 @@ def refuse_unit_cells(path: Path, texts: Mapping[str, Sequence[str]]) -> None:
     if not found:
         return
     name, unit = next(iter(found.items()))
-    cell = next(cell for cell in texts[name] if _CELL.fullmatch(cell) and not is_number(cell))
+    cell = next(cell for cell in texts[name] if UNIT_CELL.fullmatch(cell) and not is_number(cell))
     raise RunError(
         f"{path}: columns {listed(found, _NAMED)} hold numbers with a unit, such as "
         f"'{cell[:30]}'; export the log with numbers only (or remove '{unit}' from the cells), "
@@ -49,7 +48,7 @@ def unit_behind(cells: Sequence[str]) -> str | None:
     """Return the unit after the numbers of a column; None for labels or numbers without unit."""
     filled = [cell for cell in cells if cell]
     units = [
-        match[1] for cell in filled if not is_number(cell) and (match := _CELL.fullmatch(cell))
+        match[1] for cell in filled if not is_number(cell) and (match := UNIT_CELL.fullmatch(cell))
     ]
     if len(filled) < _LEAST or len(set(units)) != 1:
         return None

@@ -16,7 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from softmap_edge.errors import RunError
-from softmap_edge.logs.readers.cells import is_number, split, trimmed
+from softmap_edge.logs.readers.cells import is_number, is_plain, split, trimmed
 from softmap_edge.logs.readers.lines import first_lines, lines_that
 from softmap_edge.logs.readers.paced import PacedColumns, paced
 from softmap_edge.logs.readers.text import TextColumns, open_text
@@ -44,7 +44,7 @@ def is_qtm(start: str) -> bool:
 def is_nexus(start: str) -> bool:
     """Return whether a file with this start is a Vicon Nexus CSV: a section and its rate."""
     lines = [line.strip(' ,\t\r"').lower() for line in start.split("\n")[:2]]
-    return len(lines) == 2 and lines[0] in _SECTIONS and is_number(lines[1])
+    return len(lines) == 2 and lines[0] in _SECTIONS and is_plain(lines[1])
 
 
 def is_lvm(start: str) -> bool:
@@ -145,7 +145,7 @@ def open_lvm(path: Path, header: bool | None, order: str | None) -> TextColumns 
     if (stated.get("x_columns") or ["One"])[0].lower() != "no" or "delta_x" not in stated:
         return columns
     step = stated["delta_x"][0].replace(",", ".")
-    if not is_number(step) or not float(step) > 0:
+    if not is_plain(step) or not float(step) > 0:
         raise RunError(
             f"{path}: Delta_X = '{step[:20]}', expected the step in s; correct it, or export with "
             "an X column"
