@@ -85,15 +85,15 @@ fn seen_away(radial: f64, p: Vec3, cameras: &[Camera]) -> Vec3 {
         let seen = q / q.z;
         let bent = radial * (seen.x * seen.x + seen.y * seen.y);
         // From the camera to p, and the distorted ray, both in the base frame, at the depth of p.
-        let beside = bent * (q.x * x + q.y * y);
-        let ray = q.x * x + q.y * y + q.z * z + beside;
+        let offset = bent * (q.x * x + q.y * y);
+        let ray = q.x * x + q.y * y + q.z * z + offset;
         let square = ray.length_squared();
-        // The distance of p + shift from the ray: that of (shift − `beside`), since the ray goes
-        // through p + `beside`.
+        // The distance of p + shift from the ray: that of (shift − `offset`), since the ray goes
+        // through p + `offset`.
         let across = |v: Vec3| v - v.dot(ray) / square * ray;
         let [along_x, along_y, along_z] = Vec3::AXES.map(across);
         system += Mat3::from_cols(along_x, along_y, along_z);
-        right += across(beside);
+        right += across(offset);
     }
     system.inverse() * right
 }

@@ -142,7 +142,7 @@ impl Linear {
         simd: S,
         inputs: &Inputs<N>,
         b: usize,
-        beside: bool,
+        added: bool,
         out: &mut Columns<N>,
     ) {
         let size = BLOCK * self.columns;
@@ -150,7 +150,7 @@ impl Linear {
         for first in (0..BLOCK).step_by(V * S::F32_LANES) {
             let place = |n: usize, k: usize| n * out.stride + (b + k) * BLOCK + first;
             let mut sums = [[[simd.splat_f32s(0.0); V]; B]; N];
-            if beside {
+            if added {
                 for (n, k) in (0..N).flat_map(|n| (0..B).map(move |k| (n, k))) {
                     let rows = &out.numbers[place(n, k)..][..V * S::F32_LANES];
                     sums[n][k].copy_from_slice(S::as_simd_f32s(rows).0);

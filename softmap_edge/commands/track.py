@@ -376,12 +376,12 @@ def _text(summary: Document) -> str:
 # --- what is printed without a robot --------------------------------------------------------------
 def _table(args: TrackOptions, model: Model) -> int:
     """Print Table II of the paper; return 0."""
-    rival = None if args.alternative is None else open_model(args.alternative)
+    alternative = None if args.alternative is None else open_model(args.alternative)
     seed = 1 if args.seed is None else args.seed
     with Bar(args.json) as bar:
         rows = table_two(
             model,
-            rival,
+            alternative,
             seed=seed,
             amplitude=args.amplitude,
             duration=args.duration,

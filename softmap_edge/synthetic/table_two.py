@@ -43,7 +43,7 @@ Progress = Callable[[str, float], None]
 
 LETTERS = ("S", "H", "O", "E")
 PLANE = "xy"
-OURS, COMPENSATED, RIVAL = "ours", "ours, effects compensated", "rival"
+OURS, COMPENSATED, ALTERNATIVE = "ours", "ours, effects compensated", "rival"
 WHERE = ("simulator", "stand_in")
 # Table II: mean, standard deviation and largest in mm, in simulation and on hardware; the paper's
 # own data.
@@ -52,10 +52,10 @@ PUBLISHED_ERRORS = {
     ("H", OURS): ((1.214, 0.652, 2.55), (3.569, 2.343, 10.3)),
     ("O", OURS): ((1.184, 0.182, 1.499), (1.387, 0.831, 3.839)),
     ("E", OURS): ((1.174, 0.755, 2.509), (2.616, 1.777, 8.05)),
-    ("S", RIVAL): ((2.685, 1.109, 3.646), (5.917, 5.12, 23.154)),
-    ("H", RIVAL): ((2.766, 0.999, 4.319), (5.854, 3.816, 14.7)),
-    ("O", RIVAL): ((1.336, 0.918, 1.582), (3.164, 1.683, 6.887)),
-    ("E", RIVAL): ((1.889, 0.92, 3.015), (4.791, 3.174, 14.76)),
+    ("S", ALTERNATIVE): ((2.685, 1.109, 3.646), (5.917, 5.12, 23.154)),
+    ("H", ALTERNATIVE): ((2.766, 0.999, 4.319), (5.854, 3.816, 14.7)),
+    ("O", ALTERNATIVE): ((1.336, 0.918, 1.582), (3.164, 1.683, 6.887)),
+    ("E", ALTERNATIVE): ((1.889, 0.92, 3.015), (4.791, 3.174, 14.76)),
 }
 
 
@@ -104,7 +104,7 @@ class Contender:
     calibration: Calibration | None
 
 
-def contenders(model: Model, rival: Model | None, finger: VirtualFinger) -> list[Contender]:
+def contenders(model: Model, alternative: Model | None, finger: VirtualFinger) -> list[Contender]:
     """Return the models compared: without effects, with them if any, and the alternative.
 
     A residual is included with the effects; effects are compensated in the orientation that the
@@ -113,7 +113,7 @@ def contenders(model: Model, rival: Model | None, finger: VirtualFinger) -> list
     Raises:
         SoftmapError: a model of another finger.
     """
-    for one in (model, rival):
+    for one in (model, alternative):
         if one is not None and (
             one.robot != finger.finger.name or one.channels != len(PUBLISHED.home)
         ):
@@ -127,14 +127,14 @@ def contenders(model: Model, rival: Model | None, finger: VirtualFinger) -> list
     if model.chain_names:
         leaning = np.asarray(HANGING) @ rotation((*finger.declared_deg, 0.0)).T
         found.append(Contender(COMPENSATED, model, leaning, map_))
-    if rival is not None:
-        found.append(Contender(RIVAL, rival, None, map_))
+    if alternative is not None:
+        found.append(Contender(ALTERNATIVE, alternative, None, map_))
     return found
 
 
 def table_two(
     model: Model,
-    rival: Model | None,
+    alternative: Model | None,
     *,
     seed: int = 1,
     amplitude: float = 8.0,
@@ -148,7 +148,7 @@ def table_two(
 
     Args:
         model: ours.
-        rival: an alternative, as `softmap train prior --model deepsoro` makes it.
+        alternative: another model, as `softmap train prior --model deepsoro` makes it.
         seed: seed of the stand-in; calibrate the bundle on the stand-in of the same seed.
         amplitude: size of the letters, mm.
         duration: duration of a letter, s.
@@ -161,7 +161,7 @@ def table_two(
     """
     finger = virtual_finger(seed)
     simulator, tip = Simulator(Finger.builtin()), model.tip_indices
-    todo = [(figure, one) for figure in figures for one in contenders(model, rival, finger)]
+    todo = [(figure, one) for figure in figures for one in contenders(model, alternative, finger)]
     rows = []
     for k, (figure, one) in enumerate(todo):
         if progress is not None:
@@ -250,7 +250,7 @@ def text_of(document: Document) -> str:
         paper = row["paper"] or {}
         columns = [row[f"{name}_mm"] for name in ("expected", *WHERE)]
         columns += [paper.get(name) for name in ("simulation_mm", "hardware_mm")]
-        name = document["rival"] or RIVAL if row["model"] == RIVAL else row["model"]
+        name = document["rival"] or ALTERNATIVE if row["model"] == ALTERNATIVE else row["model"]
         lines.append((row["figure"], name, *map(numbers, columns)))
     widths = [max(len(line[k]) for line in lines) for k in range(len(head))]
     text = [

@@ -68,9 +68,9 @@ def test_a_guess_leaves_out_such_a_marker_and_the_frame_does_not_see_it(tmp_path
     points[:, lost] = 0.0
     found = guess_mapping([written(tmp_path / "log.csv", points)])
     assert 'axes = ["x", "y", "z"]' in found.text
-    told = [line for line in found.unknown if "never seen, or is the origin" in line]
-    assert len(told) == len(lost) and "at exactly 0, 0, 0 in all 300 frames" in told[0]
-    assert 'not_seen = "keep"' in told[0]
+    reported = [line for line in found.unknown if "never seen, or is the origin" in line]
+    assert len(reported) == len(lost) and "at exactly 0, 0, 0 in all 300 frames" in reported[0]
+    assert 'not_seen = "keep"' in reported[0]
     entries = [line for line in found.text.split("\n") if line.startswith('    ["')]
     assert len(entries) == 4 - len(lost)
     assert not any("look at" in line for line in found.said)
@@ -85,8 +85,8 @@ def test_a_mapping_takes_it_as_not_seen_and_says_so(tmp_path, lost):
     assert len(done.doubts) == 1 and f"markers: {NAMES[lost]}" in done.doubts[0]
     assert "at exactly 0, 0, 0 in all 300 frames" in done.doubts[0]
     assert not done.run.visible[:, lost].any() and done.run.visible.sum() == 3 * 300
-    (told,) = [one for one in summary(done.run)["warnings"] if "seen in none" in one]
-    assert told.startswith(NAMES[lost])
+    (reported,) = [one for one in summary(done.run)["warnings"] if "seen in none" in one]
+    assert reported.startswith(NAMES[lost])
     with pytest.raises(RunError, match="seen in none of 300 frames; leave it out of `markers`"):
         learn(done.run)
 

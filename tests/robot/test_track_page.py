@@ -17,7 +17,7 @@ from softmap_edge.report.figures import AFTER, INK
 from softmap_edge.robot.control.recording import read_recording
 from softmap_edge.robot.motion.figures import FIGURES
 from softmap_edge.robot.motion.kinematics import METHODS
-from softmap_edge.synthetic.table_two import COMPENSATED, OURS, PUBLISHED_ERRORS, RIVAL
+from softmap_edge.synthetic.table_two import ALTERNATIVE, COMPENSATED, OURS, PUBLISHED_ERRORS
 
 pytestmark = pytest.mark.long
 
@@ -101,10 +101,10 @@ def test_table_ii_is_complete_with_the_papers_own_figures_as_other_data():
     ]
     head, *rows = rows
     assert head[2:] == ["simulator", "stand-in", "the paper: simulation", "the paper: hardware"]
-    names = {"DeepSoRo-style": RIVAL}
+    names = {"DeepSoRo-style": ALTERNATIVE}
     reported = {(letter, names.get(name, name)): cells for letter, name, *cells in rows}
     assert list(reported) == [
-        (letter, name) for letter in "SHOE" for name in (OURS, COMPENSATED, RIVAL)
+        (letter, name) for letter in "SHOE" for name in (OURS, COMPENSATED, ALTERNATIVE)
     ]
     for key, cells in reported.items():
         paper = [

@@ -148,7 +148,7 @@ def test_a_second_run_of_another_speed_decides_between_families():
     (reported,) = both.learned_in
     assert (reported.name, reported.law) == ("latency", "identified")
     assert reported.params[0].value == pytest.approx(0.2, abs=0.005)
-    assert [rival.name for rival in reported.alternatives] == [
+    assert [other.name for other in reported.alternatives] == [
         "clock_shift"
     ]  # no run distinguishes it
     assert both.made_from["runs"] == [one.hash(), other.hash()]

@@ -173,7 +173,7 @@ FIELD_VALUES = {name: FIELD_VALUES[name] for name in _core.FIELDS if name in FIE
 
 # Two pairs of tendons that are commanded u, 0.09 mm for each mm, and get 0.1 mm shorter for each N; no
 # load changes their length.
-CABLE, SHORTER, TOLD = 20.0, 0.1, 0.09
+CABLE, SHORTER, COMMANDED = 20.0, 0.1, 0.09
 TENSION_VALUES = [
     field([*side, 0.0], 3.0) for side in ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
 ]
@@ -181,8 +181,8 @@ TENSION_VALUES = [
 
 def pulls(u):
     """Pull (n, 4) N of the tendons, below zero how slack they are."""
-    reported = TOLD * np.concatenate([u, -u], axis=1)
-    return np.where(reported > 0.0, reported / (1.0 / CABLE + SHORTER), CABLE * reported)
+    wound = COMMANDED * np.concatenate([u, -u], axis=1)
+    return np.where(wound > 0.0, wound / (1.0 / CABLE + SHORTER), CABLE * wound)
 
 
 def lost(compliance, u):

@@ -13,10 +13,10 @@ from softmap_edge.cli import main
 from softmap_edge.fem.simulator import Simulator
 from softmap_edge.model.shapes import Grid
 from softmap_edge.synthetic.table_two import (
+    ALTERNATIVE,
     COMPENSATED,
     OURS,
     PUBLISHED_ERRORS,
-    RIVAL,
     table_two,
     text_of,
 )
@@ -48,12 +48,12 @@ def test_ours_an_alternative_and_the_papers_figures_stand_next_to_each_other(mod
             model, worse(model), progress=lambda name, _: reported.append(name), **FEW
         )
     }
-    assert set(rows) == {OURS, RIVAL} and reported == ["O, ours", "O, rival"]
-    ours, rival = rows[OURS], rows[RIVAL]
+    assert set(rows) == {OURS, ALTERNATIVE} and reported == ["O, ours", "O, rival"]
+    ours, other = rows[OURS], rows[ALTERNATIVE]
     assert len(ours.simulator) == len(ours.stand_in) == 7 and ours.unreachable < 1e-3
     # each believes that it is there
-    assert ours.expected.max() < 0.01 and rival.expected.max() < 0.01
-    assert ours.simulator.mean() < 0.3 < 0.5 < rival.simulator.mean() < 1.5  # a tenth of 8 mm
+    assert ours.expected.max() < 0.01 and other.expected.max() < 0.01
+    assert ours.simulator.mean() < 0.3 < 0.5 < other.simulator.mean() < 1.5  # a tenth of 8 mm
     # what the stand-in has and the model lacks
     assert ours.stand_in.mean() > 2 * ours.simulator.mean()
     document = ours.to_dict()
@@ -118,7 +118,7 @@ def test_the_command_prints_the_table_and_the_document_says_the_same(model, tmp_
     document = json.loads(capsys.readouterr().out)
     assert document["schema"] == "softmap.table2/1" and document["method"] == "paper"
     assert [(row["figure"], row["model"]) for row in document["rows"]] == [
-        (f, m) for f in "SHOE" for m in (OURS, RIVAL)
+        (f, m) for f in "SHOE" for m in (OURS, ALTERNATIVE)
     ]
     text = text_of(document)
     assert "paper: hardware" in text and "3.46 ± 2.98, 15.38" in text and "no hardware" in text
