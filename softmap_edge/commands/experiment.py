@@ -230,6 +230,7 @@ def _answered(
         name = "--standard" if args.standard else "--protocol"
         raise SoftmapError(f"{name} takes no diagnosis; leave one of the two out")
     diagnosis, before = Diagnosis.load(file), args.since and Diagnosis.load(args.since).to_dict()
+    diagnosis.check_robot(model)
     asked = {e.name for e in diagnosis.effects} | {
         name for a in diagnosis.alternatives for name in a.effects
     }

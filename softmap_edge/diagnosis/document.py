@@ -131,6 +131,10 @@ class Diagnosis:
         """
         try:
             document = json.loads(read_document(path), parse_int=_integer)
+        except UnicodeDecodeError:
+            raise SoftmapError(
+                f"{path}: not a text; give a diagnosis, which `softmap diagnose --out` writes"
+            ) from None
         except (ValueError, RecursionError) as error:
             raise SoftmapError(
                 f"{path} is not JSON ({brief(error)}); make it with `softmap diagnose --out`"
@@ -162,8 +166,9 @@ class Diagnosis:
         """Return a model with named effects of this diagnosis, and the parameters fitted with them.
 
         Raises:
-            SoftmapError: the diagnosis does not name one of them, or is of another model.
+            SoftmapError: the diagnosis does not name one of them, or is of another model or robot.
         """
+        self.check_robot(model)
         params: dict[str, float] = dict(model.params)
         for name in names:
             params = {
@@ -174,6 +179,15 @@ class Diagnosis:
         entries = [entry for entry in (*self.effects, *self.faults) if entry.name in names]
         found: Model = with_error(model.with_effects(chain, params), entries)
         return found
+
+    def check_robot(self, model: Model) -> None:
+        """Raise SoftmapError if this is a diagnosis of another robot than the model's."""
+        robot = self.made_from.get("robot", model.robot)
+        if robot != model.robot:
+            raise SoftmapError(
+                f"the diagnosis is of '{robot}', the model of '{model.robot}'; give the bundle of "
+                f"'{robot}' with --bundle"
+            )
 
     def _checked(self, model: Model, name: str) -> dict[str, float]:
         """Return all fitted parameters of one effect, within its bounds."""

@@ -27,6 +27,7 @@ _END, _END_BYTES, _LONGEST_COMMENT = b"PK\5\6", 22, 1 << 16  # of the record tha
 _ZIP64, _ZIP64_BYTES = b"PK\6\7", 20
 STEP = "_step"  # suffix of the name of an array's steps
 _EPOCH = (1980, 1, 1, 0, 0, 0)
+DOCUMENTS = (".json", ".html", ".toml", ".svg")  # reports and settings of this package, no logs
 
 
 def write_npz(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
@@ -89,8 +90,11 @@ def read_npz(
     except SoftmapError:
         raise
     except Exception as fault:  # damaged files raise a dozen kinds in zipfile and zlib
-        remedy = "make it again or copy it again"
-        if path.suffix.lower() != ".npz":
+        if path.suffix.lower() == ".npz":
+            remedy = "make it again or copy it again"
+        elif path.suffix.lower() in DOCUMENTS:
+            remedy = "give a run (.npz) or a recording (.mcap)"
+        else:
             remedy = "a log becomes a run with `softmap import`"
         raise error(
             f"{path.name}: not a readable .npz archive ({brief(fault)}); {remedy}"

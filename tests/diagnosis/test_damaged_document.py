@@ -73,3 +73,21 @@ def test_absurd_numbers_around_an_effect_are_refused(change, tmp_path, capsys):
 def test_no_number_of_a_document_is_beyond_bounds(value):
     with pytest.raises(ReportError):
         Diagnosis.from_dict(document() | {"unexplained": {"chi2_per_n": value}})
+
+
+@pytest.mark.parametrize("robot", ["arm", "moe-finger-2", ""])
+def test_a_diagnosis_of_another_robot_is_refused(robot, tmp_path, capsys):
+    found = document() | {"made_from": {"robot": robot}}
+    code, error = added(found, tmp_path, capsys)
+    assert code == 2 and f"the diagnosis is of '{robot}', the model of 'moe-finger'" in error
+    assert main(["next", str(tmp_path / "d.json"), "--out", str(tmp_path / "next.csv")]) == 2
+    assert f"give the bundle of '{robot}' with --bundle" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("content", [b"PK\x03\x04\x98", b"\xff\xfe", b"\x89HDF\r\n\x98"])
+def test_a_file_of_another_kind_is_no_diagnosis(content, tmp_path, capsys):
+    (tmp_path / "run.npz").write_bytes(content)
+    assert main(["next", str(tmp_path / "run.npz")]) == 2
+    error = capsys.readouterr().err
+    assert "run.npz: not a text; give a diagnosis, which `softmap diagnose --out` writes" in error
+    assert error.count("\n") == 1

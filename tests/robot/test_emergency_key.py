@@ -116,13 +116,15 @@ def test_the_key_switches_torque_off_at_once(robot, verb):
         )
 
 
-def test_without_a_terminal_nothing_is_reported(robot):
+def test_without_a_terminal_nothing_is_reported_of_the_key(robot):
     bus, _, folder = robot
     words = ["servo", "move", "1,-1", *ON, "--hold", "--seconds", "0.5"]
     done = subprocess.run(
         [SOFTMAP, *words], cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True
     )
-    assert done.returncode == 0 and done.stderr == "" and not torque(bus)
+    others = [line for line in done.stderr.splitlines() if "were lost; look at" not in line]
+    assert done.returncode == 0 and not others, "answers are lost on a busy computer, no more"
+    assert not torque(bus)
 
 
 def test_another_key_does_nothing(robot):

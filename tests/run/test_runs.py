@@ -277,6 +277,10 @@ def test_what_is_no_archive_is_reported(tmp_path, content):
     (tmp_path / "log.csv").write_bytes(content)
     with pytest.raises(RunError, match="a log becomes a run with `softmap import`"):
         Run.load(tmp_path / "log.csv")
+    for name in ("d.json", "page.html", "map.TOML"):  # nothing that an import could read
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(RunError, match=r"give a run \(.npz\) or a recording \(.mcap\)$"):
+            Run.load(tmp_path / name)
 
 
 def test_every_shorter_file_is_refused(tmp_path):
