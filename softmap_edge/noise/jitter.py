@@ -17,7 +17,7 @@ the run is a trend. Pinned by tests/noise/test_jitter.py with jitter of known co
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
 
@@ -30,6 +30,7 @@ from softmap_edge.run.conditions import Conditions
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Ints = NDArray[np.int64]
+Along = Callable[[NDArray[np.intp]], Floats]  # frames (n,) to motions (n, F, b) by commands
 
 RIGID = 6
 # s: trial memories; 0 is independent jitter in each frame
@@ -49,7 +50,7 @@ UNSEEN = 1e-9  # of the white variance: for a rotation that the points do not sh
 # mm RMS by which the frame, and commanded motion, may move the points: a rotation that the points
 # do not show, as with markers on one line, stays near zero
 RIGIDLY, FARTHEST = 3.0, 300.0
-SPARE = 2  # features that must remain to show the white part
+SPARE = 1  # features that must remain to show the white part
 DEGREE, MANY = 3, 3  # of the smooth map, and the channels above which it has no products
 
 
@@ -134,6 +135,11 @@ def commanded_modes(seen: Floats, command: Floats, most: int = COMMANDED) -> Flo
     return np.asarray(modes[: min(count, most)])
 
 
+def in_all(modes: Floats) -> Along:
+    """Return the motion along modes (b, F), which is the same in all frames."""
+    return lambda rows: np.broadcast_to(modes.T, (len(rows), *modes.T.shape))
+
+
 def polynomial(command: Floats) -> Floats:
     """Return the monomials (K, m) of commands (K, C) scaled to ±1, up to cubic.
 
@@ -154,7 +160,7 @@ def polynomial(command: Floats) -> Floats:
 
 
 def coordinates(
-    values: Floats, seen: Floats, positions: Mask, modes: Floats, white: Floats
+    values: Floats, seen: Floats, positions: Mask, along: Floats, white: Floats
 ) -> Coordinates:
     """Return the coordinates of values (n, F) of frames whose features are `seen` (n, F).
 
@@ -162,15 +168,14 @@ def coordinates(
         values: deviations (n, F), mm; NaN counts for nothing.
         seen: features (n, F), mm, all finite; they give the displacement by a turn.
         positions: (V,), which features are places.
-        modes: (b, F), from `commanded_modes`.
+        along: (n, F, b), motions that commands cause: tangents of each frame, or modes of all.
         white: variance (F,) mm² that weights the features.
     """
-    along = np.broadcast_to(modes.T, (len(values), *modes.T.shape))
     columns = np.concatenate([rigid(seen, positions), along], axis=2)  # (n, F, 6 + b)
     scale = np.maximum(np.sqrt(np.mean(columns**2, axis=(0, 1))), 1e-12)
     known = np.isfinite(values)
     weighted = columns / scale / np.sqrt(white)[:, None] * known[:, :, None]
-    prior = np.r_[np.full(RIGID, RIGIDLY), np.full(len(modes), FARTHEST)] ** -2.0
+    prior = np.r_[np.full(RIGID, RIGIDLY), np.full(along.shape[2], FARTHEST)] ** -2.0
     gram = np.swapaxes(weighted, 1, 2) @ weighted + np.diag(prior)
     inverse = np.linalg.solve(gram, np.swapaxes(weighted, 1, 2))  # (n, 6 + b, F)
     found = np.einsum("nmf,nf->nm", inverse, np.where(known, values, 0.0) / np.sqrt(white)) / scale
@@ -179,7 +184,7 @@ def coordinates(
 
 
 def white_variance(
-    values: Floats, seen: Floats, positions: Mask, modes: Floats, dwell: Ints
+    values: Floats, seen: Floats, positions: Mask, along: Along, dwell: Ints
 ) -> Floats | None:
     """Return the unexplained variance (F,) mm² of values (K, F) in dwells.
 
@@ -187,7 +192,7 @@ def white_variance(
 
     Return None if too few features or frames remain to show it.
     """
-    left = values.shape[1] - RIGID - len(modes)
+    left = values.shape[1] - RIGID - along(np.arange(1)).shape[2]
     if left < SPARE:
         return None
     total, degrees = np.zeros(values.shape[1]), 0
@@ -195,7 +200,7 @@ def white_variance(
     for frames in rows_of(dwell, LEAST_DWELL):
         part, shape = filled(values[frames]), filled(seen[frames])
         part = part - drift(len(part)) @ (drift(len(part)).T @ part)
-        found = coordinates(part, shape, positions, modes, flat)
+        found = coordinates(part, shape, positions, along(frames), flat)
         total += np.sum((part - found.explained) ** 2, axis=0)
         degrees += len(frames) - drift(len(frames)).shape[1]
     if not degrees:
@@ -211,7 +216,7 @@ def frame_jitter(
     positions: Mask,
     state: Conditions,
     dwell: Ints,
-    modes: Floats,
+    along: Along,
     white: Floats,
 ) -> Jitter | None:
     """Estimate the jitter of the frame between visits of the same poses; None if none.
@@ -219,12 +224,12 @@ def frame_jitter(
     The run then does not show any.
 
     Args:
-        values: features minus the prediction of a model, or the features themselves, (K, F) mm.
+        values: features minus the shapes that commands make (`shape_manifold.py`), (K, F) mm.
         seen: features (K, F) mm.
         positions: (V,), which features are places.
         state: conditions of the frames.
         dwell: (K,) number of the dwell, -1 outside dwells.
-        modes: (b, F), from `commanded_modes`.
+        along: the tangents of these shapes at frames.
         white: variance (F,) mm², from `white_variance`.
     """
     groups = poses(state, dwell)
@@ -232,9 +237,9 @@ def frame_jitter(
     if revisits < REVISITS:
         return None
     rows, pose = _thinned(groups)
-    apart, shapes = (_about(every[rows], pose) for every in (values, seen))
-    found = coordinates(apart[0], shapes[1], positions, modes, white)
-    root = _root(found.white[:, :RIGID, :RIGID].mean(axis=0), shapes[1])
+    apart, shape = _about(values[rows], pose)[0], _about(seen[rows], pose)[1]
+    found = coordinates(apart, shape, positions, along(rows), white)
+    root = _root(found.white[:, :RIGID, :RIGID].mean(axis=0), shape)
     flat = np.linalg.solve(root, found.rigid.T).T  # white part of unit variance
     t, run = state.time[rows], dwell[rows] >> RUN
     free = _detrending(t, pose, run)  # (n, n - p), orthonormal complement of groups and trends

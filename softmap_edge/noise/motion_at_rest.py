@@ -19,7 +19,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.noise.jitter import coordinates, white_variance
+from softmap_edge.noise.jitter import coordinates, in_all, white_variance
 from softmap_edge.noise.repeats import LEAST_DWELL, filled, rows_of
 
 Floats = NDArray[np.float64]
@@ -111,7 +111,7 @@ def motion_at_rest(
         AtRest: nothing found where dwells are too few to show it, or where the commands would need
             more than their complete range for such a motion.
     """
-    white = white_variance(values, seen, positions, modes, dwell)
+    white = white_variance(values, seen, positions, in_all(modes), dwell)
     scores = _scores(values, seen, positions, modes, dwell, white)
     if scores is None or scores.freedom < ENOUGH:
         return AtRest((), values, False)
@@ -161,7 +161,8 @@ def _scores(
         if white is None:
             score, covariance = part @ modes.T, np.eye(len(modes))[None]
         else:
-            combined = coordinates(part, filled(seen[frames]), positions, modes, white)
+            along = in_all(modes)(frames)
+            combined = coordinates(part, filled(seen[frames]), positions, along, white)
             score, covariance = combined.commanded, combined.white[:, -len(modes) :, -len(modes) :]
         parts.append(score)
         noise.append(np.diagonal(covariance, axis1=1, axis2=2))

@@ -30,9 +30,11 @@ from numpy.typing import NDArray
 from softmap_edge.errors import SoftmapError
 from softmap_edge.noise.jitter import (
     COMMANDED,
+    Along,
     commanded_modes,
     coordinates,
     frame_jitter,
+    in_all,
     white_variance,
 )
 from softmap_edge.noise.memoryless import Repeats
@@ -46,6 +48,7 @@ from softmap_edge.noise.repeats import (
     settled_dwells,
     undrifted,
 )
+from softmap_edge.noise.shape_manifold import shapes
 from softmap_edge.run.conditions import Conditions
 
 Floats = NDArray[np.float64]
@@ -152,16 +155,19 @@ def measure_noise(
         return plain
     modes = commanded_modes(seen, state.command, _most_modes(residual.shape[1]))
     moving = motion_at_rest(residual, seen, positions, t_seen, state.command, dwell, modes)
-    white = white_variance(moving.values, seen, positions, modes, dwell)
+    body = shapes(seen, state, dwell)
+    # along the tangents of each pose the motion at rest needs no subtraction, which fits no pose
+    values, along = (moving.values, in_all(modes)) if body is None else (residual, body.tangents)
+    white = white_variance(values, seen, positions, along, dwell)
     jitter = (
         None
-        if white is None
-        else frame_jitter(moving.values, seen, positions, state, dwell, modes, white)
+        if white is None or body is None
+        else frame_jitter(body.remainder, seen, positions, state, dwell, along, white)
     )
-    if white is None or (jitter is None and not moving.irregular):
+    if white is None or not (jitter or moving.found or moving.irregular):
         again = estimate_noise(moving.values, t_seen, dwell) if moving.found else plain
         return replace(again, moving=moving.found)
-    fast = _white_scatter(moving.values, seen, positions, modes, white, dwell)
+    fast = _white_scatter(values, seen, positions, along, white, dwell)
     covariance = _shrunk(fast.squares / fast.degrees, fast.degrees)
     fitted = Noise(covariance, plain.source, _inflation(fast.rho), True, moving=moving.found)
     if jitter is None:
@@ -203,7 +209,7 @@ def _white_scatter(
     values: Floats,
     seen: Floats,
     positions: Mask,
-    modes: Floats,
+    along: Along,
     white: Floats,
     dwell: NDArray[np.int64],
 ) -> Scatter:
@@ -215,7 +221,7 @@ def _white_scatter(
     for frames in rows_of(dwell, LEAST_DWELL):
         rest, order = undrifted(filled(values[frames]))
         shape = filled(seen[frames])
-        found = coordinates(rest, shape, positions, modes, white)
+        found = coordinates(rest, shape, positions, along(frames), white)
         rest = rest - found.explained
         degrees += len(frames) - order
         flat = np.swapaxes(found.columns, 0, 1).reshape(seen.shape[1], -1)

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from softmap_edge.run.conditions import NEAR, Conditions
 
 Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
 SETTLED = 0.5  # s after the last motion from which a frame counts as a repeat
@@ -131,7 +132,7 @@ def poses(state: Conditions, dwell: Ints) -> list[list[NDArray[np.intp]]]:
         lean = np.zeros(3) if state.gravity is None else state.gravity[rows[0]]
         run = int(dwell[rows[0]]) >> RUN
         for known, (where, gravity, one) in enumerate(centres):
-            if one == run and np.all(np.abs(place - where) <= 1.0) and _same_way(lean, gravity):
+            if one == run and np.all(np.abs(place - where) <= 1.0) and same_way(lean, gravity):
                 found[known].append(rows)
                 break
         else:
@@ -140,6 +141,7 @@ def poses(state: Conditions, dwell: Ints) -> list[list[NDArray[np.intp]]]:
     return [pose for pose in found if len(pose) > 1]
 
 
-def _same_way(one: Floats, other: Floats) -> bool:
-    size = float(np.linalg.norm(one) * np.linalg.norm(other))
-    return size == 0.0 or float(one @ other) > NEAR * size
+def same_way(some: Floats, other: Floats) -> Mask:
+    """Return whether vectors (..., 3) point as another (3,) does; a zero vector points anywhere."""
+    size = np.linalg.norm(some, axis=-1) * np.linalg.norm(other)
+    return np.asarray((size == 0.0) | (some @ other > NEAR * size))

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from bending import at, record, shaken, shape, tour, visits, wander
 
-from softmap_edge.noise.jitter import commanded_modes, frame_jitter, rigid, white_variance
+from softmap_edge.noise.jitter import frame_jitter, rigid, white_variance
 from softmap_edge.noise.noise_model import command_kernel, measure_noise, whitener
 from softmap_edge.noise.repeats import dwell_scatter, settled_dwells
+from softmap_edge.noise.shape_manifold import shapes
 from softmap_edge.run.conditions import conditions
 
 WHITE = 0.1  # mm a coordinate
@@ -32,9 +33,9 @@ def seen_by(seed, turn=0.0, shift=0.0, memory=8.0, acting=None, trend=0.0, round
 
 def found(seen, own, state):
     positions, dwell = np.ones(seen.shape[1] // 3, bool), settled_dwells(state)
-    modes = commanded_modes(seen, state.command)
-    white = white_variance(seen - own, seen, positions, modes, dwell)
-    return frame_jitter(seen - own, seen, positions, state, dwell, modes, white), white
+    body = shapes(seen, state, dwell)
+    white = white_variance(seen - own, seen, positions, body.tangents, dwell)
+    return frame_jitter(body.remainder, seen, positions, state, dwell, body.tangents, white), white
 
 
 def play(t, u, w=0.8):
@@ -44,11 +45,25 @@ def play(t, u, w=0.8):
     return y
 
 
+def wide_play(t, u):
+    """Half of the range is lost."""
+    return play(t, u, 4.0)
+
+
 def creep(t, u):
     slow = np.zeros_like(u)
     for k in range(1, len(u)):
         slow[k] = slow[k - 1] + (u[k] - slow[k - 1]) * (t[k] - t[k - 1]) / 15.0
     return 0.8 * u + 0.2 * slow
+
+
+def hysteresis(t, u):
+    """A spring that yields by halves, next to the drive."""
+    yielded = np.zeros_like(u)
+    for k in range(1, len(u)):
+        step = u[k] - u[k - 1]
+        yielded[k] = yielded[k - 1] + step - 0.5 * np.abs(step) * yielded[k - 1]
+    return u + 3.0 * yielded
 
 
 def test_rigid_motion_is_what_small_turns_and_shifts_do():
@@ -86,14 +101,40 @@ def test_no_jitter_is_none_nearly_always():
     assert sum(h is not None for h in hits) <= 1
 
 
-@pytest.mark.parametrize("acting", [play, creep])
-def test_memory_of_the_drive_is_no_jitter(acting):
+def noise_of(seen, own, state, markers):
+    """Return the RMS noise in mm of some of the markers, and their memory in s."""
+    kept = (3 * np.array(markers)[:, None] + np.arange(3)).ravel()
+    positions, seen, own = np.ones(len(markers), bool), seen[:, kept], own[:, kept]
+    noise = measure_noise(seen - own, seen, positions, state.time, state)
+    return noise.rms_mm(positions), noise.memory_s
+
+
+FEW = {"eight": range(8), "four": (1, 3, 5, 7), "three": (2, 5, 7)}
+
+
+@pytest.mark.parametrize("markers", FEW)
+@pytest.mark.parametrize("acting", [play, wide_play, creep, hysteresis])
+def test_memory_of_the_drive_is_no_jitter(acting, markers):
+    """Its errors are ten to a hundred times the noise."""
     for seed in range(3):
         seen, own, state = seen_by(seed, acting=acting)
-        jitter = found(seen, own, state)[0]
-        size = 0.0 if jitter is None else np.trace(jitter.of_features(seen, np.ones(8, bool))) / 8
-        misfit = np.mean(np.sum((seen - own).reshape(len(seen), -1, 3) ** 2, axis=2))
-        assert size < 0.02 * misfit
+        rms, _ = noise_of(seen, own, state, FEW[markers])
+        assert rms == pytest.approx(np.sqrt(3) * WHITE, rel=0.1)
+
+
+@pytest.mark.parametrize("markers", FEW)
+@pytest.mark.parametrize("acting", [None, wide_play, creep])
+def test_jitter_is_found_next_to_memory_of_the_drive(acting, markers):
+    found_mm, true_mm = [], []
+    for seed in range(6):
+        seen, own, state = seen_by(seed, 0.25, 0.3, 8.0, acting)
+        rms, memory = noise_of(seen, own, state, FEW[markers])
+        assert memory >= 2.5
+        found_mm.append(rms)
+        alone, own, state = seen_by(seed, 0.25, 0.3, 8.0)
+        kept = (alone - own).reshape(len(own), 8, 3)[:, list(FEW[markers])]
+        true_mm.append(np.sqrt(np.mean(np.sum(kept**2, axis=2))))
+    assert np.mean(found_mm) == pytest.approx(np.mean(true_mm), rel=0.25)
 
 
 def test_a_trend_over_the_run_is_no_jitter():
