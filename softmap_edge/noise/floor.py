@@ -2,9 +2,10 @@
 
 1. frames of one dwell about its drift, and visits of one pose in other dwells for jitter of the
    frame (`noise.py`): the same estimate as that of `check` and `diagnose`
-2. else settled frames of the same command:       sqrt(pooled variance), where the robot's memory
-                                                  counts as noise:
-                                                  an upper bound
+2. else what no command can make of the shape:    remainder beyond the manifold of the body's
+                                                  shapes (`shape_manifold.py`), or
+   settled frames of the same command:            sqrt(pooled variance), where the robot's memory
+                                                  counts as noise; the smaller of both
 3. else roughness of the residual over the body:  remainder of (1, x, y) times a polynomial of
                                                   degree 5 in z in a frame
 4. else second differences of the residual:       sqrt(mean |r(k) - (r(k-1) + r(k+1))/2|² / 1.5), an
@@ -26,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.noise.memoryless import Repeats, repeats_of
-from softmap_edge.noise.noise_model import ENOUGH, measure_noise
+from softmap_edge.noise.noise_model import ENOUGH, measure_noise, noise_off_shapes
 from softmap_edge.noise.repeats import SETTLED, dwell_degrees, settled_dwells
 from softmap_edge.run.conditions import Conditions, conditions
 from softmap_edge.run.run import Run, known
@@ -119,15 +120,17 @@ def commanded(run: Run) -> Floats:
 
 def replicates(state: Conditions, seen: Floats, visible: Mask) -> PointNoise | None:
     """Return the noise of points (K, N, 3) that should be equal; None without repeats."""
-    if len(seen) > 1:
-        some = some_points(visible)
-        values = np.where(visible[:, some, None], seen[:, some], np.nan).reshape(len(seen), -1)
-        places = np.ones(len(some), bool)
-        if dwell_degrees(settled_dwells(state)) >= ENOUGH:
-            found = measure_noise(values, values, places, state.time, state)
-            return PointNoise(found.rms_mm(places), f"frames of one dwell: {found.source}")
-    settled = ~state.moving & (state.dwell >= SETTLED)
-    groups = _replicates(state, settled)
+    if len(seen) < 2:
+        return None
+    some = some_points(visible)
+    values = np.where(visible[:, some, None], seen[:, some], np.nan).reshape(len(seen), -1)
+    places = np.ones(len(some), bool)
+    if dwell_degrees(settled_dwells(state)) >= ENOUGH:
+        found = measure_noise(values, values, places, state.time, state)
+        return PointNoise(found.rms_mm(places), f"frames of one dwell: {found.source}")
+    off = noise_off_shapes(values, state)
+    bounds = [] if off is None else [PointNoise(off.rms_mm(places), off.source)]
+    groups = _replicates(state, ~state.moving & (state.dwell >= SETTLED))
     if sum(len(group) - 1 for group in groups) >= MIN_PAIRS:
         value = _within(groups, seen, visible)
         if value is not None:
@@ -135,8 +138,8 @@ def replicates(state: Conditions, seen: Floats, visible: Mask) -> PointNoise | N
                 f"{len(groups)} commands seen repeatedly; memory of the robot counts as noise "
                 f"here: {BOUND}"
             )
-            return PointNoise(value, text)
-    return None
+            bounds.append(PointNoise(value, text))
+    return min(bounds, key=lambda one: one.mm, default=None)
 
 
 def some_points(visible: Mask) -> NDArray[np.intp]:

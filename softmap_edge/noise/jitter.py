@@ -5,14 +5,14 @@
     e: white, from the part that no rigid motion explains
     trend: 1, t, t² of each run: a smooth trend over the run is drift or creep, not jitter
 
-The coordinates are fitted together with the motions that commands cause (the modes of a smooth map
-from commands to shapes), so effects on the drive such as play and creep cancel. Memory and
-variances maximise the likelihood in the eigenbasis of the detrended correlation (Lindstrom & Bates
-1988, doi:10.1080/01621459.1988.10478693): one variance for rotations and one for shifts, equal in
-all directions, and one more for each axis that clearly differs. Units: mm, rad, s. Limits: jitter
-    is not
-detected with fewer than nine features or without revisited poses; a memory longer than an eighth of
-the run is a trend. Pinned by tests/noise/test_jitter.py with jitter of known covariance and memory.
+The coordinates are fitted together with the tangents of the body's shapes (`shape_manifold.py`), so
+effects on the drive such as play and creep cancel. Memory and variances maximise the likelihood in
+the eigenbasis of the detrended correlation (Lindstrom & Bates 1988,
+doi:10.1080/01621459.1988.10478693): one variance for rotations and one for shifts, equal in all
+directions, and one more for each axis that clearly differs. Units: mm, rad, s. Limits: jitter is
+not detected without revisited poses, or with so few features that none is left beside rigid motion
+and the tangents; a memory longer than an eighth of the run is a trend. Pinned by
+tests/noise/test_jitter.py with jitter of known covariance and memory.
 """
 
 from __future__ import annotations

@@ -90,6 +90,11 @@ class Noise:
             return self.covariance
         return self.covariance + max(0.0, self.slow_inflation / self.inflation - 1.0) * self.slow
 
+    @property
+    def trace(self) -> float:
+        """The variance in mm² of all features together."""
+        return float(np.trace(self.covariance))
+
     def rms_mm(self, positions: Mask) -> float:
         """Return the RMS distance in mm that noise alone gives the places among V features."""
         variance = np.diag(self.covariance).reshape(-1, 3)[positions]
@@ -117,6 +122,33 @@ def estimate_noise(residual: Floats, t_seen: Floats, visit: NDArray[np.int64]) -
         "high-frequency part of the run (no replicates)",
         1.0,
     )
+
+
+def noise_off_shapes(seen: Floats, state: Conditions) -> Noise | None:
+    """Estimate the noise of features (K, F) mm that also move, from what no command can make.
+
+    Memory of the drive does not count; jitter of the frame does. In the directions in which
+    commands move the body the noise is that of the others.
+
+    Returns:
+        Noise: None where less than half of the directions are left, or too few frames.
+    """
+    features = seen.shape[1]
+    body = shapes(seen, state, settled_dwells(state))
+    if body is None or features < 2 * body.scores.shape[1]:
+        return None
+    rest = np.where(np.isfinite(body.remainder), body.remainder, 0.0)
+    known = float(np.isfinite(body.remainder).mean())
+    degrees = (len(seen) - body.coefficients) * known
+    pooled = float(np.sum(rest**2)) / (degrees * (features - body.scores.shape[1]))
+    covariance = rest.T @ rest / degrees
+    for frame in _spread(len(seen)):
+        along = np.linalg.qr(body.tangents(np.array([frame]))[0])[0]
+        covariance += pooled / len(_spread(len(seen))) * (along @ along.T)
+    squared = float(np.sum(rest**2))
+    rho = float(np.sum(rest[1:] * rest[:-1])) / max(squared, 1e-300)
+    source = f"what no command can make of the body's shape ({len(seen)} frames)"
+    return Noise(_shrunk(covariance, int(degrees)), source, _inflation(rho))
 
 
 def motion_left(
@@ -152,7 +184,8 @@ def measure_noise(
     dwell = settled_dwells(state)
     plain = estimate_noise(residual, t_seen, dwell)
     if not plain.replicates:
-        return plain
+        off = noise_off_shapes(seen, state)
+        return off if off is not None and off.trace < plain.trace else plain
     modes = commanded_modes(seen, state.command, _most_modes(residual.shape[1]))
     moving = motion_at_rest(residual, seen, positions, t_seen, state.command, dwell, modes)
     body = shapes(seen, state, dwell)

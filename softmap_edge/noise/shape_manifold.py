@@ -81,6 +81,11 @@ class Shapes:
     kind: Ints
     manifolds: tuple[_Polynomial, ...]
 
+    @property
+    def coefficients(self) -> int:
+        """How many coefficients of a feature were fitted, in all manifolds together."""
+        return sum(len(one.coefficients) for one in self.manifolds)
+
     def tangents(self, rows: Rows) -> Floats:
         """Return derivatives (n, F, b) mm of the features of frames by their scores."""
         out = np.empty((len(rows), self.remainder.shape[1], self.scores.shape[1]))

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bending import at, record, shaken, shape, wander
 
 from softmap_edge import Run, builtin_model
 from softmap_edge.checks.advice import DWELL_FRAMES
@@ -20,9 +21,12 @@ from softmap_edge.noise.noise_model import (
     command_kernel,
     estimate_noise,
     form_covariance,
+    measure_noise,
+    noise_off_shapes,
     rod_noise,
     whitener,
 )
+from softmap_edge.run.conditions import conditions
 from softmap_edge.run.protocol import standard_protocol
 from softmap_edge.synthetic.finger import Camera, Truth
 
@@ -326,3 +330,38 @@ def test_points_that_are_hidden_at_times_leave_the_noise_as_it_is(share, seed):
     hidden = replace(run, visible=rng.random(points.shape[:2]) > share)
     assert noise_of_points(hidden).mm == pytest.approx(noise_of_points(run).mm, rel=0.15)
     assert noise_of_points(run).mm == pytest.approx(0.3 * np.sqrt(3.0), rel=0.15)
+
+
+@pytest.mark.parametrize("markers", [(0, 1, 2, 3, 4, 5, 6, 7), (1, 3, 5, 7), (2, 5, 7)])
+@pytest.mark.parametrize("lost", [0.0, 1.0, 5.0])
+def test_play_of_a_body_that_never_dwells_is_no_noise(lost, markers):
+    """It moves on all the time, on a path that never comes back; play loses up to half of it."""
+    rng = np.random.default_rng(int(lost))
+    t = np.arange(0.0, 100.0, 0.05)
+    command = 9.0 * np.stack(
+        [np.sin(t / 2.7 + 1) * np.sin(t / 9.7), np.sin(t / 3.7) * np.cos(t / 11.3)], axis=1
+    )
+    acting = command.copy()
+    for k in range(1, len(t)):
+        acting[k] = np.clip(acting[k - 1], command[k] - lost, command[k] + lost)
+    seen = np.arange(0.3, 99.0, 0.5)
+    own, truth = (shape(at(t, u, seen))[:, list(markers)] for u in (command, acting))
+    points = (truth + 0.1 * rng.normal(size=truth.shape)).reshape(len(seen), -1)
+    state = conditions(record(t, command, seen), command)
+    places = np.ones(len(markers), bool)
+    noise = measure_noise(points - own.reshape(points.shape), points, places, state.time, state)
+    assert noise.rms_mm(places) == pytest.approx(0.1 * np.sqrt(3), rel=0.15)
+
+
+def test_a_frame_that_wanders_under_a_moving_body_is_noise():
+    """The body's own shapes show it, also where it correlates over seconds."""
+    rng = np.random.default_rng(0)
+    t = np.arange(0.0, 100.0, 0.05)
+    command = 9.0 * np.stack([np.sin(t / 2.7 + 1), np.sin(t / 3.7)], axis=1)
+    seen = np.arange(0.3, 99.0, 0.5)
+    state = conditions(record(t, command, seen), command)
+    away = wander(seen, 8.0, rng, 6)
+    points = shaken(shape(at(t, command, seen)), np.radians(0.25) * away[:, :3], 0.3 * away[:, 3:])
+    points = (points + 0.1 * rng.normal(size=points.shape)).reshape(len(seen), -1)
+    noise = noise_off_shapes(points, state)
+    assert noise.inflation > 3.0 and 0.3 < noise.rms_mm(np.ones(8, bool)) < 0.8
