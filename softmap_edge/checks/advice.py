@@ -105,17 +105,17 @@ def advice(run: Run, home_visits: int) -> list[Advice]:
     return [*words, _temperature(run)]
 
 
-def missing_data(runs: Sequence[Run], frames: int, replicates: bool) -> list[str]:
+def missing_data(runs: Sequence[Run], frames: int, measured: bool) -> list[str]:
     """Return sentences on what a diagnosis needs and its runs do not provide.
 
     Args:
         runs: runs that are diagnosed together; one run that shows something is enough.
         frames: number of frames used of all runs.
-        replicates: whether the noise is estimated from dwells.
+        measured: whether the noise is measured, and no guess.
     """
     words = [_enough(frames), *_drive(np.concatenate([commanded(run) for run in runs]))]
     words += [_no_time()] if any(run.timeless for run in runs) else []
-    if not replicates:
+    if not measured:
         words.append(_guessed(next((run.sigma for run in runs if run.sigma is not None), None)))
     words += [word for run in runs for word in _folds(run)]
     leaning = [run for run in runs if run.gravity is None and run.output is None]

@@ -66,7 +66,7 @@ def accepted(
         ranking.before, row.loss, state.body, rule.FALL_NEXT if later else rule.FALL_FIRST, later
     ):
         return False
-    measured = problem.noise.replicates and not problem.record.error_is_noise
+    measured = problem.noise.measured and not problem.record.error_is_noise
     noise = problem.noise.rms_mm(problem.record.positions) / np.sqrt(3.0) if measured else 0.0
     static = row.family.kind == "static"
     if row.family.kind == "time" and rule.in_one_fold(ranking.before, row.loss):

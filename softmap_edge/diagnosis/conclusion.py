@@ -469,7 +469,9 @@ def _twins(
         why = f"{twin} and {member} look alike under the conditions of this run"
         if twin in fit.effects or twin not in (*fits.candidates, *never):
             continue
-        if twin in fits.candidates:
+        if by == "roll":
+            why += ": no point shows a turn about the axis"  # and so it is not fitted either
+        elif twin in fits.candidates:
             other = fits.get({*fit.effects, twin} - {member}, fit.space.split)
             rest = fits.without(fit, member)
             before, mine, theirs = (float(fits.losses(f)[0].sum()) for f in (rest, fit, other))
@@ -504,8 +506,8 @@ def _error(outcome: Outcome, order: Sequence[str], other: Record | None) -> Erro
     split = outcome.fit.space.split
     model, static, rungs, both, per_fold = ladder(fits, order, split, other)
     noise, form = problem.noise.rms_mm(record.positions), record.form_mm
-    measured = not record.error_is_noise
-    replicates = measured and problem.noise.replicates
+    apart = not record.error_is_noise
+    measured = apart and problem.noise.measured
     kind = "labelled blocks" if labelled(record.block) else "blocks"
     on = f"{kind} of the run that was fitted" if other is None else "an independent run"
     return ErrorLadder(
@@ -514,10 +516,10 @@ def _error(outcome: Outcome, order: Sequence[str], other: Record | None) -> Erro
         rungs,
         both,
         per_fold,
-        noise_floor=noise if measured else None,
+        noise_floor=noise if apart else None,
         model_floor=form,
-        floor=noise if replicates else form,
-        floor_kind="noise of replicates" if replicates else "the model's own held-out error",
+        floor=noise if measured else form,
+        floor_kind="measured noise" if measured else "the model's own held-out error",
         held_out_on=on + ("" if record.replay is None else ", relative to the reference"),
     )
 

@@ -169,7 +169,7 @@ def diagnose(
         *values["next"],
     )
     converted_runs = [converted(model, run) for run in record.recorded_runs]
-    remarks += missing_data(converted_runs, len(record), problem.noise.replicates)
+    remarks += missing_data(converted_runs, len(record), problem.noise.measured)
     encoded = [run for run in converted_runs if run.present is not None]
     behind = servos(encoded[0], [*candidates, *record.model.chain_names]) if encoded else []
     found = with_error(found, values["effects"])

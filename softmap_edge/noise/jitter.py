@@ -10,7 +10,7 @@ effects on the drive such as play and creep cancel. Memory and variances maximis
 the eigenbasis of the detrended correlation (Lindstrom & Bates 1988,
 doi:10.1080/01621459.1988.10478693): one variance for rotations and one for shifts, equal in all
 directions, and one more for each axis that clearly differs. Units: mm, rad, s. Limits: jitter is
-not detected without revisited poses, or with so few features that none is left beside rigid motion
+not detected without revisited poses, or with so few features that none is left next to rigid motion
 and the tangents; a memory longer than an eighth of the run is a trend. Pinned by
 tests/noise/test_jitter.py with jitter of known covariance and memory.
 """

@@ -1,8 +1,8 @@
 """The noise model: camera noise, and the model error as a nuisance.
 
     C = Σ ⊗ I + G ⊗ K(u, u)          features × frames
-    Σ  noise covariance of a frame's features, from replicates (frames of one dwell), else from the
-       high-frequency part
+    Σ  noise covariance of a frame's features, from replicates (frames of one dwell), else from what
+       no command can make of the body's shape, else from the high-frequency part
     G  model-form error of the model: its own held-out error per feature, correlated along the body
     K  squared-exponential kernel over the command, rank <= 64 (Nyström on farthest-point inducing
        commands), times
@@ -77,7 +77,7 @@ class Noise:
     covariance: Floats
     source: str
     inflation: float
-    replicates: bool = False  # whether it was estimated from dwells
+    measured: bool = False  # by dwells, or by what no command can make: not a guess
     slow: Floats | None = None
     memory_s: float = 0.0
     slow_inflation: float = 1.0
@@ -148,7 +148,7 @@ def noise_off_shapes(seen: Floats, state: Conditions) -> Noise | None:
     squared = float(np.sum(rest**2))
     rho = float(np.sum(rest[1:] * rest[:-1])) / max(squared, 1e-300)
     source = f"what no command can make of the body's shape ({len(seen)} frames)"
-    return Noise(_shrunk(covariance, int(degrees)), source, _inflation(rho))
+    return Noise(_shrunk(covariance, int(degrees)), source, _inflation(rho), True)
 
 
 def motion_left(
@@ -183,9 +183,11 @@ def measure_noise(
     """
     dwell = settled_dwells(state)
     plain = estimate_noise(residual, t_seen, dwell)
-    if not plain.replicates:
+    if not plain.measured:
         off = noise_off_shapes(seen, state)
-        return off if off is not None and off.trace < plain.trace else plain
+        # motion inflates the one, shapes that change the other; with both it is not a guess
+        smaller = plain if off is None or plain.trace < off.trace else off
+        return replace(smaller, measured=off is not None)
     modes = commanded_modes(seen, state.command, _most_modes(residual.shape[1]))
     moving = motion_at_rest(residual, seen, positions, t_seen, state.command, dwell, modes)
     body = shapes(seen, state, dwell)

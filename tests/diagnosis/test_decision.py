@@ -165,7 +165,7 @@ def accepted(
         positions=None, form_mm=more.get("form", 0.0), seen=np.zeros((1, 3)),
         rms_mm=lambda _: static, error_is_noise=more.get("noisy", False),
     )  # fmt: skip
-    noise = SimpleNamespace(replicates=True, rms_mm=lambda _: more.get("noise", 0.0))
+    noise = SimpleNamespace(measured=True, rms_mm=lambda _: more.get("noise", 0.0))
     state = SimpleNamespace(
         body=SimpleNamespace(
             problem=SimpleNamespace(record=record, noise=noise, numbers=numbers),

@@ -362,9 +362,9 @@ def test_a_few_frames_identify_a_large_gain():
 
 
 def test_a_name_with_two_alternatives_is_less_likely_than_not_and_not_identified():
-    """On one sine a delay, a shifted clock and a lag look alike."""
+    """On one slow sine a delay, a shifted clock and a lag look alike."""
     model, t = builtin_model(), np.arange(0, 180, 0.1)
-    u = np.stack([8.0 * np.sin(2.0 * np.pi * t / 20.0), 0.0 * t], axis=1)
+    u = np.stack([8.0 * np.sin(2.0 * np.pi * t / 40.0), 0.0 * t], axis=1)
     rest = np.broadcast_to(model.rest, (len(t[5::6]), *model.rest.shape))
     run = Run(t, u, t[5::6], vertices=rest, gravity=np.array([0.0, 0.0, 1.0]), robot=model.robot)
     points = model.with_effects(["latency"], {"latency.delay": 0.4}).predict(run)

@@ -76,7 +76,7 @@ def test_three_dwells_as_the_advice_asks_identify_the_noise():
         estimate_noise(rng.normal(size=(n, F)), np.arange(n), dwell[:n])
         for n in (len(dwell), len(dwell) - 4)
     ]
-    assert [noise.replicates for noise in reported] == [True, False]
+    assert [noise.measured for noise in reported] == [True, False]
 
 
 def test_what_is_hidden_at_times_is_no_noise():
