@@ -105,6 +105,7 @@ def test_a_finger_of_tetrahedra_is_found_on_the_model_of_bricks():
     keeps_its_promises(MODEL, other_shapes(Finger.builtin(), 8))
 
 
+@pytest.mark.long
 def test_a_published_mesh_is_found_though_it_is_hollow():
     """Points of a noisy cloud lie as near to the walls of its channels, which are invisible."""
     finger = moe.load(published("moe_finger"))

@@ -404,6 +404,7 @@ def test_the_model_of_the_rod_is_as_good_as_it_says():
     assert model.structure.stiffness_known and set(model.fields) >= set(_core.FIELDS[:6])
 
 
+@pytest.mark.long
 def test_the_model_of_the_rod_knows_what_large_loads_do():
     u, hung = np.random.default_rng(0).uniform(-9.0, 9.0, (12, 2)), np.array([0.0, 0.0, 0.03])
     model, t = body_of("A").model(), np.arange(12.0)

@@ -249,6 +249,7 @@ def test_other_constants_are_set_before_the_diagnosis_reads_them():
             decided(wrong)
 
 
+@pytest.mark.long
 def test_the_command_scores_with_other_constants_and_leaves_banks_out(tmp_path):
     command = [
         sys.executable,

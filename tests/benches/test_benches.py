@@ -64,6 +64,7 @@ def test_the_quick_rows_of_geometry_are_there_and_keep_what_does_not_hang_on_the
     assert laid["error_mm"] <= 0.45
 
 
+@pytest.mark.long
 def test_the_rows_of_the_network_keep_what_does_not_hang_on_the_machine(monkeypatch):
     """Each row refuses to time what is not the same work; speeds are promised of a quiet machine
     (`make bench`).

@@ -58,6 +58,7 @@ def test_the_mesh_is_read_and_all_guides_are_bound(finger, simulator):
         Simulator(finger.replace(tendons=(Tendon(points=away), *finger.tendons[1:])))
 
 
+@pytest.mark.long
 def test_a_coarse_sweep_has_no_failed_command_and_is_symmetric(simulator):
     axis = np.linspace(-16, 16, 5)
     sweep = simulator.sweep([axis, axis])

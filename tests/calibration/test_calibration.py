@@ -80,6 +80,7 @@ def test_what_only_roll_shows_does_not_move_a_match_that_is_seen_from_one_side()
 # --- commands from ticks ------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_the_published_map_is_recovered_within_its_stated_uncertainty_with_a_tenth_of_the_dwells_wrong():
     off, plain = [], []
     for seed in range(20):

@@ -19,6 +19,8 @@ from softmap_edge.fem.simulator import Simulator
 from softmap_edge.robot.emulated.laws import LAWS
 from softmap_edge.run.protocol import Protocol, other_protocol, standard_protocol
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/do/diagnose.md").read_text(encoding="utf-8")
 BLOCKS = blocks(PAGE)

@@ -15,6 +15,8 @@ from softmap_edge.run.run import ROLL_SEEN, Run
 from softmap_edge.synthetic.depth_camera import TWO
 from softmap_edge.synthetic.finger import hide
 
+pytestmark = pytest.mark.long
+
 MODEL = builtin_model()
 THIN = 2  # every second frame of the standard protocol
 

@@ -495,6 +495,7 @@ def test_an_effect_of_the_same_form_is_an_alternative_where_it_explains_enough(m
     ] and then.alternatives == ()
 
 
+@pytest.mark.long
 def test_a_family_that_does_what_a_static_map_does_is_no_alternative_to_it(moved):
     """A slow change can look like a gain where large commands are held long, and the gain leaves
     more than noise.

@@ -239,6 +239,7 @@ LAWS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", LAWS)
 def test_what_no_effect_explains_is_no_effect(name):
     """A static law is named if the library has it; without it no replacement is identified."""

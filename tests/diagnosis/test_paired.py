@@ -39,6 +39,7 @@ def names(found):
     return [e.name for e in [*found.faults, *found.effects]]
 
 
+@pytest.mark.long
 def test_what_acts_in_both_runs_cancels_out_and_the_payload_of_one_is_named_alone():
     """A second finger with hysteresis of its own law, with and without a weight at its tip."""
     whole = standard_protocol(2)

@@ -116,6 +116,7 @@ ODD = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ODD)
 def test_a_smooth_odd_map_is_a_static_map_whose_law_is_open(name):
     found = diagnose(MODEL, finger_run(acting=ODD[name]))
@@ -145,6 +146,7 @@ def test_an_unknown_coupling_is_flagged_with_its_family():
     assert found.families[0].share > 0.8 and found.families[0].moved_mm > 0.3
 
 
+@pytest.mark.long
 def test_a_known_play_is_found_alongside_an_unknown_coupling():
     run = finger_run(acting=lambda u: crossed(played(u, [1.2, 1.2])))
     found = diagnose(MODEL, run)
@@ -376,6 +378,7 @@ def test_a_map_that_is_too_fine_for_its_columns_is_a_static_map_by_its_repeats()
     assert 0.3 < family.moved_mm < 3.0 and family.share > 0.5
 
 
+@pytest.mark.long
 def test_what_lasts_of_the_largest_stroke_is_an_unknown_creep():
     t = standard_protocol(2).t
 

@@ -66,6 +66,7 @@ def test_modulus_cable_and_frame_are_found_within_their_deviations():
     assert found.finger.young_mpa == found.numbers["young_mpa"].value
 
 
+@pytest.mark.long
 def test_pretension_and_slack_are_distinguished_from_stiffness():
     finger = FINGER.replace(bounds=(("young_mpa", (0.05, 1.0)), ("pretension_mm", (-2.0, 3.0))))
     for pretension in (1.2, -0.8):
@@ -101,6 +102,7 @@ def test_a_single_shape_fits_the_modulus_alone():
     assert not found.mount and found.finger_fitted_mm is None and "no dwell was left" in str(found)
 
 
+@pytest.mark.long
 def test_deviations_are_honest():
     """Over many draws the true modulus lies where the deviations say: not always inside one, hardly
     outside three.

@@ -267,6 +267,7 @@ def test_a_mesh_that_is_none_is_refused(tmp_path):
             finger.replace(axes=axes)
 
 
+@pytest.mark.long
 def test_damaged_meshes_and_guides_give_errors_never_a_crash(tmp_path):
     nodes, cells = tetrahedra((1, 1, 3))
     guides = tmp_path / "cable.json"

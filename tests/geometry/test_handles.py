@@ -34,6 +34,7 @@ def test_they_are_spread_over_the_surface(count):
     assert set(handles) < set(handles_of(FINGER.replace(handles=count + 1), MODEL.rest))
 
 
+@pytest.mark.long
 def test_the_file_the_bundle_and_the_command_carry_them(tmp_path, capsys):
     small = FINGER.replace(core=2, layers=10, handles=30)
     (tmp_path / "finger.toml").write_text(small.to_toml(), encoding="utf-8")

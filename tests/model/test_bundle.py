@@ -163,6 +163,7 @@ def test_not_a_bundle_says_how_to_make_one(tmp_path):
         load_bundle(tmp_path)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "gravity",
     [

@@ -168,6 +168,7 @@ def test_a_narrower_model_narrows_the_window(tmp_path):
     assert load_bundle(save_bundle(elsewhere, tmp_path / "elsewhere")).safety.low == (20.0, -16.0)
 
 
+@pytest.mark.long
 def test_build_writes_it_for_a_simulated_finger(tmp_path, capsys):
     finger = FINGER.replace(core=2, layers=10, young_mpa=0.4)
     (tmp_path / "finger.toml").write_text(finger.to_toml(), encoding="utf-8")

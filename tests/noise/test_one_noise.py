@@ -64,7 +64,9 @@ def stated(capsys, *argv):
 def test_three_commands_state_the_noise_of_a_run_alike(name, tmp_path, capsys):
     run = RUNS[name]
     run.save(tmp_path / "run.npz")
-    teacher = moving() if name in ("moving", "short") else replace(held(0), command_unit=run.command_unit)
+    teacher = (
+        moving() if name in ("moving", "short") else replace(held(0), command_unit=run.command_unit)
+    )
     save_bundle(learn_model(teacher, static=True, input="goal"), tmp_path / "b")
     compared = json.loads(
         stated(capsys, "compare", tmp_path / "run.npz", "--bundle", tmp_path / "b", "--json")

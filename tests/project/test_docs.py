@@ -6,6 +6,8 @@ import hashlib
 import importlib.util
 from pathlib import Path
 
+import pytest
+
 from benches.data import find
 from softmap_edge import read_mapping
 
@@ -23,6 +25,7 @@ def script(path):
 OWN = ("tdcr_", "beam_", "track_", "diagnosis")
 
 
+@pytest.mark.long
 def test_the_pictures_are_made_in_the_given_folder(tmp_path, capsys):
     """Seed 4 is the finger that the demo's tests measure too, so that its sweeps are done once."""
     docs = sorted(path for path in (ROOT / "docs").rglob("*") if path.is_file())

@@ -47,6 +47,7 @@ def clip(model):
     return hands, np.array(times), np.array(took)
 
 
+@pytest.mark.long
 def test_the_clip_shows_a_hand(clip):
     hands, times, took = clip
     assert len(hands) == 621 and np.allclose(np.diff(times), 1 / 30)

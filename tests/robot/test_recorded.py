@@ -85,6 +85,7 @@ def test_a_model_without_a_calibration_gets_mm(tracked):
     np.testing.assert_allclose(mm.present, known.commands(ticks.present_ticks))
 
 
+@pytest.mark.long
 def test_commands_take_it_as_any_run(tracked, tmp_path, capsys):
     file, out = str(tracked), str(tmp_path / "out")
     assert main(["compare", file, "--json"]) == 0

@@ -71,6 +71,7 @@ SOME = ("backlash", "payload")  # the others of them take minutes
 EACH = [name if name in SOME else pytest.param(name, marks=pytest.mark.long) for name in LAWS]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", EACH)
 def test_hidden_effect_is_named_first_and_its_error_falls(name):
     story = case((name,), SEED)

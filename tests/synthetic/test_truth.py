@@ -260,6 +260,7 @@ def test_a_tour_visits_every_place_once_and_makes_short_steps():
     assert np.median(steps) < 1.5  # 20 mm / sqrt(200) = 1.4 between neighbours of a grid
 
 
+@pytest.mark.long
 def test_a_measured_finger_is_a_run():
     from softmap_edge.synthetic.finger import hide, template
 

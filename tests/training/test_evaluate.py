@@ -155,6 +155,7 @@ def test_a_prior_of_two_seeds_is_one_row_and_what_no_seed_changes_is_fitted_once
     assert rows[0].errors["vertex"][0].mean() != rows[0].errors["vertex"][1].mean()
 
 
+@pytest.mark.long
 def test_parts_of_a_recording_are_complete_blocks_and_each_holds_the_smaller_ones(files, tmp_path):
     lesson = Lesson.of(MODEL, [Run.load(files / "teaches.npz")])
     parts = [lesson.share(share, 3) for share in choices.SHARES]
@@ -282,6 +283,7 @@ def test_the_command_prints_both_tables_next_to_the_papers(files, capsys, monkey
     )
 
 
+@pytest.mark.long
 def test_a_bundle_of_a_decoder_stands_next_to_models_and_has_no_vertices(
     files, capsys, monkeypatch
 ):
@@ -328,6 +330,7 @@ def test_a_bundle_of_a_decoder_stands_next_to_models_and_has_no_vertices(
         assert "rival has points of its own" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_the_papers_three_rows_both_falls_and_a_page(files, capsys, monkeypatch):
     monkeypatch.chdir(files)
     monkeypatch.setattr(choices, "DEEPSORO_DRAWN", 1)
