@@ -71,7 +71,7 @@ def test_a_floor_that_is_an_upper_bound_is_called_one(pair, tmp_path):
     run, worse, _, before, _ = pair
     t = np.arange(0, 30.0, 0.02)
     moving = record(
-        t, np.column_stack([10 * np.sin(t), 8 * np.cos(0.7 * t)]), np.arange(0, 29, 0.1), noise=0.05
+        t, np.column_stack([10 * np.sin(t), 8 * np.cos(0.7 * t)]), np.arange(0, 3, 0.1), noise=0.05
     )
     bare = markers_of(worse)
     for model, on, bound in ((worse, run, False), (bare, moving, True)):
