@@ -214,8 +214,8 @@ def _setup(args: SetupOptions) -> int:
     done = setup.set_up(found[0], args.new_id, args.new_baud, mended.append, entry.asked)
     if args.rig:
         mended += changes(entry, found[0], done, args.rig)
-        bench = entered(entry, done, setup.gains(done))
-        (bench.write if old is None else bench.note)(args.rig)
+        rig = entered(entry, done, setup.gains(done))
+        (rig.write if old is None else rig.note)(args.rig)
     if args.json:
         print(
             json.dumps(

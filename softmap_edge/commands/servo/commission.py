@@ -22,8 +22,8 @@ from softmap_edge.model.bundle import save_bundle
 from softmap_edge.model.model import Model
 from softmap_edge.robot.commissioning.first_calibration import (
     COUPLING,
-    bench_calibration,
     bends,
+    pulley_calibration,
     radius,
 )
 from softmap_edge.robot.commissioning.first_calibration import document as calibration_document
@@ -135,9 +135,9 @@ def calibrate(args: CalibrateOptions) -> int:
     rig, model = read_rig(args.rig), open_model(args.bundle)
     pulley = radius(args.pulley_mm, _reading(args.ruler))
     given = [1] * len(rig.servos) if args.signs is None else _signs(args.signs)
-    found = bench_calibration(rig, model, pulley, given)  # raises an error before anything moves
+    found = pulley_calibration(rig, model, pulley, given)  # raises an error before anything moves
     if args.signs is None:
-        found = bench_calibration(rig, model, pulley, _jogged(args, rig, model))
+        found = pulley_calibration(rig, model, pulley, _jogged(args, rig, model))
     warnings = [
         f"no coupling is known: servos are taken to pull one command each, within {COUPLING:g} of "
         "their own",

@@ -26,7 +26,7 @@ from softmap_edge.robot.emulated.finger import (
     LATE,
     SERVO,
     EmulatedFinger,
-    emulated_bench,
+    emulated_robot,
     hidden_laws,
 )
 from softmap_edge.robot.link.points import PointSender
@@ -131,7 +131,7 @@ def emulate(args: EmulateOptions) -> int:
     names = [name for name in args.hide.split(",") if name]
     laws = hidden_laws(names, whole.channels, args.seed, args.strength)
     senders = _senders(args)
-    robot = emulated_bench(
+    robot = emulated_robot(
         whole,
         calibration,
         laws,
