@@ -46,7 +46,7 @@ from softmap_edge.run.protocol import Protocol
 from softmap_edge.run.run import Run
 
 if TYPE_CHECKING:
-    from softmap_edge.commands.experiment import RecordOptions
+    from softmap_edge.commands.options import RecordOptions
 
 INTERRUPTED = 130
 LOOP = ".loop.mcap"  # suffix of the loop's recording next to the run, until the run is written

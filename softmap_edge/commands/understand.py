@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from softmap_edge.commands.options import CompareOptions
 from softmap_edge.commands.output import (
     JsonOption,
     bundle_arguments,
@@ -39,24 +40,6 @@ NUMBERS = {
         "not hold those of before; `softmap learn` fits them again"
     ),
 }
-
-
-@dataclass(frozen=True)
-class CompareOptions:
-    """Options of `softmap compare`, as its parser declares them."""
-
-    run: str
-    live: bool
-    camera: str | None
-    key: str | None
-    like: str | None
-    late: float | None
-    seconds: float | None
-    bundle: list[str] | None
-    effects: list[str]
-    trust_onnx: bool
-    html: str | None
-    json: bool
 
 
 def compare_arguments(parser: argparse.ArgumentParser) -> None:
