@@ -329,7 +329,7 @@ def record_arguments(parser: argparse.ArgumentParser) -> None:
     )
     effects_argument(parser)
     parser.add_argument(
-        "--finger", metavar="TOML", help="the simulated finger; default: the built-in one"
+        "--finger", metavar="FILE.toml", help="the simulated finger; default: the built-in one"
     )
     hidden = parser.add_mutually_exclusive_group()
     hidden.add_argument(

@@ -63,7 +63,7 @@ def compare_arguments(parser: argparse.ArgumentParser) -> None:
     )
     effects_argument(parser)
     parser.add_argument(
-        "--html", metavar="FILE", help="write one self-contained page with pictures"
+        "--html", metavar="FILE.html", help="write one self-contained page with pictures"
     )
 
 
@@ -144,7 +144,7 @@ def diagnose_arguments(parser: argparse.ArgumentParser) -> None:
     )
     effects_argument(parser, "; NAME,NAME: test only these effects and those of the files")
     parser.add_argument(
-        "--html", metavar="FILE", help="write one self-contained page with pictures"
+        "--html", metavar="FILE.html", help="write one self-contained page with pictures"
     )
     parser.add_argument(
         "--out", metavar="FILE", help="write the diagnosis as JSON, for `softmap add --from`"
@@ -340,7 +340,7 @@ def refit_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument("--bundle", metavar="DIR", help="a model with effects: fit the effects again")
     what.add_argument(
         "--finger",
-        metavar="TOML",
+        metavar="FILE.toml",
         help="a finger.toml: fit the finger's own numbers ([fit] says which)",
     )
     effects_argument(parser)

@@ -50,7 +50,7 @@ class HomeOptions:
 def home_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo home`."""
     parser.add_argument(
-        "--rig", required=True, metavar="rig.toml", help="the rig; its homes are written into it"
+        "--rig", required=True, metavar="FILE.toml", help="the rig; its homes are written into it"
     )
     parser.add_argument(
         "--yes", action="store_true", help="do not ask whether the finger is straight"
@@ -104,7 +104,7 @@ class CalibrateOptions:
 
 def calibrate_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo calibrate`."""
-    parser.add_argument("--rig", required=True, metavar="rig.toml", help="the rig, homed before")
+    parser.add_argument("--rig", required=True, metavar="FILE.toml", help="the rig, homed before")
     parser.add_argument(
         "--pulley-mm",
         required=True,
@@ -240,7 +240,7 @@ class PullOptions:
 def pull_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo pull`."""
     parser.add_argument(
-        "--rig", required=True, metavar="rig.toml", help="the rig; ceilings are written into it"
+        "--rig", required=True, metavar="FILE.toml", help="the rig; ceilings are written into it"
     )
     parser.add_argument(
         "--bundle", metavar="DIR", help="the finger, with its calibration (the built-in one)"

@@ -81,7 +81,7 @@ def emulate_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--strength", type=float, default=1.0, metavar="X", help="factor on their strength (1)"
     )
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="random seed (0)")
+    parser.add_argument("--seed", type=int, default=0, help="random seed (0)")
     parser.add_argument(
         "--model", default=SERVO, metavar="NAME", help=f"model of the servos ({SERVO})"
     )

@@ -88,7 +88,7 @@ def move_arguments(parser: argparse.ArgumentParser) -> None:
     where.add_argument(
         "--sim", action="store_true", help="an emulated robot: real packets, simulated finger"
     )
-    where.add_argument("--rig", metavar="rig.toml", help="the servos of this rig")
+    where.add_argument("--rig", metavar="FILE.toml", help="the servos of this rig")
     parser.add_argument(
         "--bundle",
         metavar="DIR",
