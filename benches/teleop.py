@@ -20,7 +20,7 @@ from softmap_edge.model.bundle import builtin_model
 from softmap_edge.model.servo_calibration import Calibration
 from softmap_edge.robot.control.controller import Controller
 from softmap_edge.robot.control.recording import read_recording
-from softmap_edge.robot.emulated.finger import emulated_bench
+from softmap_edge.robot.emulated.finger import emulated_robot
 from softmap_edge.robot.motion.kinematics import Kinematics
 from softmap_edge.robot.teleop.drive import Drive
 from softmap_edge.robot.teleop.hand import View
@@ -72,7 +72,7 @@ def measured(video: Path, model: Path | None) -> list[dict[str, object]]:
     with tempfile.TemporaryDirectory() as folder:
         record = Path(folder) / "teleop.mcap"
         with (
-            emulated_bench(finger, calibration, rate=RATE) as (_, rig, limits, _),
+            emulated_robot(finger, calibration, rate=RATE) as (_, rig, limits, _),
             Controller(rig, calibration, limits, kinematics=kinematics, record=record) as robot,
             camera_hand_source(video, model, View()) as eyes,
         ):

@@ -24,7 +24,7 @@ from softmap_edge.commands.robot import plain_map
 from softmap_edge.report.figures import AFTER, BEFORE, INK, STYLE, WIDE, svg
 from softmap_edge.robot.control.controller import Controller
 from softmap_edge.robot.drive.track import Course, Tracked, course, track
-from softmap_edge.robot.emulated.finger import emulated_bench, hidden_laws
+from softmap_edge.robot.emulated.finger import emulated_robot, hidden_laws
 from softmap_edge.robot.motion.kinematics import Kinematics
 from softmap_edge.robot.servo.loop_limits import ACCELERATION, SLEW
 from softmap_edge.run.protocol import standard_protocol
@@ -61,7 +61,7 @@ def tracked(model: Model, laws: Sequence[Any]) -> tuple[Course, Tracked]:
     )
     with (
         tempfile.TemporaryDirectory() as folder,
-        emulated_bench(model, map_, laws, rate=100.0) as (_, rig, limits, finger),
+        emulated_robot(model, map_, laws, rate=100.0) as (_, rig, limits, finger),
         Controller(
             rig, map_, limits, kinematics=kinematics, record=Path(folder) / "s.mcap"
         ) as robot,

@@ -246,5 +246,5 @@ impl<P: Port, L: Plan, M: Mailbox, R: Record> Control<P, L, M, R> {
 #[path = "control_tests.rs"]
 mod tests;
 #[cfg(test)]
-#[path = "virtual_bench.rs"]
-mod virtual_bench;
+#[path = "virtual_rig.rs"]
+mod virtual_rig;

@@ -1,7 +1,7 @@
 //! The writes of a drive to a servo without a current cap.
 
 use super::*;
-use crate::bench;
+use crate::emulated_rig;
 use crate::emulator::servo::{Motion, Servo};
 use crate::emulator::virtual_port::Virtual;
 use crate::registers::{X_SERIES, model};
@@ -10,11 +10,11 @@ use crate::registers::{X_SERIES, model};
 fn alone(number: u16) -> Drive<Virtual> {
     let mut bus = Bus::new(
         Virtual {
-            emulator: bench::emulator(),
+            emulator: emulated_rig::emulator(),
             now: 1,
             stall: 0,
         },
-        bench::BAUD,
+        emulated_rig::BAUD,
         1_000_000,
     );
     let kind = model(number).unwrap();

@@ -3,17 +3,17 @@
 //!
 //! Only the serial port reads a clock, and only the emulator allocates after set-up.
 
-// As tests/ name it, so that both can use `bench.rs`.
+// As tests/ name it, so that both can use `emulated_rig.rs`.
 #[cfg(test)]
 extern crate self as softmap_servo;
 
-#[cfg(test)]
-mod bench;
 pub mod bus;
 pub mod control;
 pub mod crc;
 pub mod decoder;
 pub mod drive;
+#[cfg(test)]
+mod emulated_rig;
 pub mod emulator;
 pub mod guard;
 pub mod lockstep;

@@ -1,15 +1,15 @@
 """Find the rigid transform from the camera or mocap frame to the base frame, and its sigma.
 
-There are two ways. **Home frames**: the points at each rest at home are compared with the model's
-shape there. **Base points**: markers fixed to the base at known positions, or the clamped vertices
-of the template.
+There are two ways. **Home frames**: the points at each rest at home are compared with the shape of
+the model there. **Base points**: markers fixed to the base at known positions, or the clamped
+vertices of the template.
 
-    groups of frames (visits of home; stretches of time) → a robust pose each → one pose of all
-    (`solve.py`)
+    groups of frames (visits of home, or stretches of time) → a robust pose of each
+    → one pose of all (`solve.py`)
 
-Units: mm; degrees in reports. Limits: with home frames alone, rigid parts of a wrong rest shape (a
-twist, half of a pre-curve) are attributed to the frame. Pinned by tests/alignment/test_align.py
-over many seeds.
+Units: mm; degrees in reports. Limit: home frames alone attribute the rigid part of a wrong rest
+shape (a twist, half of a pre-curve) to the frame. Pinned by tests/alignment/test_align.py over many
+seeds.
 """
 
 from __future__ import annotations
@@ -47,14 +47,15 @@ CLAMPED = 1e-6  # mm above the base: a vertex of a template that is clamped
 
 
 def align_home(run: Run, model: Model) -> Alignment:
-    """Find the frame from the points at home, command at rest.
+    """Find the frame from the points at home, while the robot rests.
 
     Args:
-        run: seen in any frame, with at least two visits of home. model: of this robot.
+        run: seen in any frame, with at least two visits of home.
+        model: of this robot.
 
     Raises:
-        AlignError: home is not visited, the points do not determine every turn, are mirrored, of
-            other units or of another robot; the message says which.
+        AlignError: home is not visited, the points do not determine all rotations, or they are
+            mirrored, in another unit or of another robot; the message names the fault.
     """
     seen, visible = _seen(run, model.seen_points(run))
     visits = home_visits(run, model)
@@ -87,12 +88,14 @@ def align_base(run: Run, places: dict[int, Floats], held: bool = False) -> Align
     """Find the frame from points that are fixed to the base.
 
     Args:
-        run: with markers or vertices. places: base-frame position (3,) mm of each named point of
-            the run; those of its `base_markers` are counted on behind the others.
-        held: also find a pose for every frame, so that a base that moves is held still.
+        run: with markers or vertices.
+        places: position of each base point in the base frame, (3,) mm, by the number of the point
+            in the run. The numbers of `base_markers` follow those of the other points.
+        held: also find a pose for every frame, to remove the motion of a base that moves.
 
     Raises:
-        AlignError: fewer than three places, places on a line, mirrored or in other units.
+        AlignError: fewer than three places, places on a line, or points that are mirrored or in
+            another unit.
     """
     seen, visible = _seen(run, run.seen_points)
     base = base_markers(run)
@@ -114,8 +117,11 @@ def align_base(run: Run, places: dict[int, Floats], held: bool = False) -> Align
 def clamped_places(run: Run, model: Model) -> dict[int, Floats]:
     """Return the clamped vertices of a model's template as base points.
 
+    Returns:
+        dict[int, Floats]: places (3,) mm in the base frame, by vertex.
+
     Raises:
-        AlignError: the model or the run has markers, not vertices.
+        AlignError: the model or the run has markers instead of vertices.
     """
     if model.markers or run.vertices is None:
         raise AlignError(
@@ -128,7 +134,9 @@ def clamped_places(run: Run, model: Model) -> dict[int, Floats]:
 
 
 def home_visits(run: Run, model: Model) -> list[NDArray[np.int64]]:
-    """Return the frames of each visit of home at rest; a run that is never commanded rests always.
+    """Return the frames of each visit of home at rest.
+
+    A run without motion commands is at rest throughout; it is divided into stretches of time.
 
     Raises:
         AlignError: fewer than two visits.
@@ -176,7 +184,7 @@ def _stretches(frames: int) -> int:
 
 
 def _form(model: Model, run: Run) -> tuple[Floats, NDArray[np.int64]]:
-    """Return the model error (S, 3) mm at places along its body, and each point's place (N,)."""
+    """Return the model error (S, 3) mm at places along the body, and each point's place (N,)."""
     mapping, error = model.run_feature_map(run), model.run_form_error(run)
     count = int(mapping.positions.sum())
     section = model.sections if run.vertices is not None and not model.markers else np.arange(count)

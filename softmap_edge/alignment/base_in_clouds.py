@@ -1,13 +1,13 @@
 """Find the pose of the base in the frame of clouds: one rigid pose shared by all frames.
 
-    min Σ_k Σ_i ρ(|q_i − S_k|),  q = R p + t    p: points of cloud k near the base, S_k: the surface
-                                                at u_k + Δu
+    min Σ_k Σ_i ρ(|q_i − S_k|),  q = R p + t    p: points of cloud k near the base,
+                                                S_k: the surface at u_k + Δu
 
 Only the body near the clamp is used. There a finger hardly bends, whatever the model error, and a
 displaced base moves all of it alike. A constant error of a command also bends it there, so it is
 fitted with the pose. Roll and height are not changed, because a round body shows neither. Groups of
-frames give the uncertainty of the others. Units: mm, rad; degrees in reports. Limit: model error
-within ZONE of the clamp is attributed to the frame. Pinned by tests/alignment/test_align.py.
+frames give the uncertainty of the other numbers. Units: mm, rad; degrees in reports. Limit: model
+error within ZONE of the clamp is attributed to the frame. Pinned by tests/alignment/test_align.py.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ def align_clouds(run: Run, model: Model) -> Alignment:
     """Find the pose of the base in a run of clouds.
 
     Args:
-        run: with `points`, commands (or ticks, where the model is calibrated), about in the base
-            frame already.
+        run: with `points` that are already near the base frame, and commands (or ticks, if the
+            model is calibrated).
         model: of this robot, with a surface.
 
     Raises:
@@ -123,8 +123,9 @@ def align_clouds(run: Run, model: Model) -> Alignment:
 def in_base(run: Run, model: Model) -> tuple[Run, Alignment | None]:
     """Return a run of clouds in the base frame, and the pose if its base was clearly displaced.
 
-    Clearly means by CLEAR standard deviations of a rotation or shift, and by LEAST_OFF mm at the
-    tip. Other runs, and clouds that show too little of the base, are returned unchanged.
+    The base is displaced if a rotation or shift exceeds CLEAR standard deviations and moves the tip
+    by more than LEAST_OFF mm. Other runs are returned unchanged, and so are clouds that show too
+    little of the base.
     """
     if run.points is None:
         return run, None
@@ -140,7 +141,7 @@ def in_base(run: Run, model: Model) -> tuple[Run, Alignment | None]:
 
 
 def base_stood_off(pose: RigidPose) -> str:
-    """Report that clouds were moved into the frame of their base; remedy for other runs."""
+    """Report that clouds were moved into the frame of their base, and how to treat other runs."""
     turn, shift = np.degrees(rotation_vector(pose.rotation)), pose.shift
     turned, shifted = (", ".join(f"{v + 0.0:.2f}" for v in numbers) for numbers in (turn, shift))
     return (
@@ -154,7 +155,13 @@ def base_stood_off(pose: RigidPose) -> str:
 class _Normal:
     """Normal equations of G groups of frames for 6 + C numbers.
 
-    They are turns and shifts in mm at the rim, then commands.
+    The numbers are rotations and shifts, in mm at the rim, and then commands.
+
+    Attributes:
+        bends: matrices, (G, 6 + C, 6 + C).
+        pulls: right-hand sides, (G, 6 + C).
+        scatter: robust standard deviation of the distances, mm.
+        left: RMS distance of the points that count, mm.
     """
 
     bends: Floats
@@ -178,18 +185,18 @@ class _Normal:
 
     @property
     def inverse(self) -> Floats:
-        """The inverse of the full matrix in the identified directions, and for commands."""
+        """Inverse of the full matrix in the identified directions and the commands."""
         inverse = np.zeros(self.bends.shape[1:])
         identified = np.ix_(*[[*IDENTIFIED, *range(6, len(inverse))]] * 2)
         inverse[identified] = np.linalg.pinv(self.bends.sum(axis=0)[identified], hermitian=True)
         return inverse
 
     def step(self) -> Floats:
-        """Return the step (6,) of Gauss and Newton."""
+        """Return the Gauss-Newton step (6,)."""
         return np.asarray(self.inverse @ self.pulls.sum(axis=0), np.float64)[:6]
 
     def covariance(self) -> Floats:
-        """Return the covariance (6, 6) by the noise and by how the groups differ."""
+        """Return the covariance (6, 6) by the noise and by the differences between groups."""
         count = len(self.pulls)
         apart = self.pulls - self.pulls.mean(axis=0)
         wander = self.inverse @ (apart.T @ apart) @ self.inverse * count / max(count - 1, 1)
@@ -200,7 +207,7 @@ class _Normal:
 def _near(
     cloud: Floats, surface: _core.Surface, centre: Floats, reach: float, zone: tuple[float, float]
 ) -> Floats:
-    """Return at most POINTS points (m, 3) of a cloud by a surface's part between heights."""
+    """Return at most POINTS points (m, 3) of a cloud near a surface, between two heights in mm."""
     some = np.asarray(cloud[np.linalg.norm(cloud - centre, axis=1) < reach + GATE], np.float64)
     if not len(some):
         return some
@@ -211,7 +218,7 @@ def _near(
 
 
 def _slopes(model: Model, run: Run) -> Floats:
-    """Return what commands do to the vertices (K, N, 3, C) of each frame."""
+    """Return the derivative of the vertices by the commands in each frame, (K, N, 3, C)."""
     u = model.effective_commands(run)
     slopes = np.empty((len(u), *model.rest.shape, model.channels))
     for rows, family in priors_by_orientation(model, run):
@@ -231,9 +238,15 @@ def _row(
 ) -> tuple[Floats, Floats]:
     """Return the distances (m,) mm of points from a surface, and their slopes (m, 6 + C).
 
-    The slopes are by turn, shift and commands.
+    The slopes are by rotation, shift and commands.
 
-    vertices, slopes: those (N, 3) of the surface, and what commands do to them (N, 3, C).
+    Args:
+        points: (m, 3) mm.
+        surface: at the commands of the frame.
+        vertices: of the surface, (N, 3) mm.
+        slopes: derivative of the vertices by the commands, (N, 3, C).
+        centre: centre of rotation, (3,) mm.
+        reach: length in mm that scales rotations.
     """
     if not len(points):
         return np.zeros(0), np.zeros((0, 6 + slopes.shape[2]))

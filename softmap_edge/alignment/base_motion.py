@@ -1,15 +1,16 @@
 """Motion of a robot's base, from markers fixed to it; it bounds `mount` and `camera_drift`.
 
-    pose_k = argmin Σ |R x + s − b_k|²     base markers b_k on their reference x, about the origin
-    moved  = RMS over frames of pose_k less its noise; placed = mean of pose_k, where the reference
-           is another run
+    pose_k = argmin Σ |R x + s − b_k|²     base markers b_k against their reference x, about the
+                                           origin
+    moved  = RMS over frames of pose_k, without its noise
+    placed = mean of pose_k, if the reference is another run
 
 If the run was aligned by these markers (`softmap run align`), `placed` is the remaining error of
-that alignment. In a diagnosis the reference is the run of before (`--reference`), or the place that
-`softmap learn` kept in `made_from`. There the parameters of `mount` are fitted within SIGMAS of
-what the markers show. `mount` and `camera_drift` are no candidates where a base that the markers
-show at rest could not move the body visibly. Units: mm, deg. Limit: a turn needs three markers that
-are not on a line. Pinned by tests/alignment/test_base_motion.py.
+that alignment. In a diagnosis the reference is an earlier run (`--reference`), or the place that
+`softmap learn` stored in `made_from`. The parameters of `mount` are then fitted within SIGMAS of
+the measured pose. `mount` and `camera_drift` are no candidates if the markers show that the base
+cannot have moved the body visibly. Units: mm, deg. Limit: a rotation needs three markers that are
+not on a line. Pinned by tests/alignment/test_base_motion.py.
 """
 
 from __future__ import annotations
@@ -44,22 +45,24 @@ SLOW_FRAMES = 20.0
 
 
 def moved_at(shift_mm: float, turn_deg: float, reach_mm: float) -> float:
-    """Return the largest motion (mm) of a point by a base shift and turn.
-
-    The point is `reach_mm` from the origin.
-    """
+    """Return the largest motion (mm) of a point, `reach_mm` from the origin, by a base motion."""
     return float(shift_mm + np.radians(turn_deg) * reach_mm)
 
 
 @dataclass(frozen=True)
 class BaseMotion:
-    """Motion of the base against a reference, about the base frame's origin, with its sigma.
+    """Motion of the base against a reference, about the origin of the base frame.
 
-    The sigma is one standard deviation.
+    The reference is another run, or the first frames of the run.
 
-    `shift_mm`, `turn_deg` (3,) are the mean pose against the reference (another run, or the run's
-    first frames). `moved_mm`, `turned_deg` are RMS over the frames about that mean, with the noise
-    subtracted.
+    Attributes:
+        shift_mm: mean shift along x, y, z, mm.
+        turn_deg: mean rotation vector, degrees.
+        shift_sigma_mm: standard deviation of the shift, mm.
+        turn_sigma_deg: standard deviation of the rotation, degrees.
+        moved_mm: RMS shift over the frames about the mean, without the noise, mm.
+        turned_deg: RMS rotation over the frames about the mean, without the noise, degrees.
+        frames: number of frames that show all base markers.
     """
 
     shift_mm: tuple[float, float, float]
@@ -79,9 +82,12 @@ class BaseMotion:
         )
 
     def at_rest(self, reach_mm: float) -> float:
-        """Return how far a base at its place may still move the body, mm.
+        """Return how far (mm) a base at its reference may still move the body.
 
-        It is infinite where the markers show it moved.
+        It is infinite if the markers show that the base moved.
+
+        Args:
+            reach_mm: distance of the farthest point of the body from the origin, mm.
         """
         if not self.allows(np.zeros(3), np.zeros(3)):
             return float(np.inf)
@@ -89,9 +95,9 @@ class BaseMotion:
         return SIGMAS * moved_at(float(shift), float(turn), reach_mm)
 
     def interval(self) -> tuple[Floats, Floats]:
-        """Return the lowest and highest turn (deg) and shift (mm) that the markers allow.
+        """Return the lowest and highest rotation (deg) and shift (mm) that the markers allow.
 
-        They are (6,) each, as in FRAME.
+        Both are (6,), in the order of FRAME.
         """
         pose, sigma = (
             np.r_[self.turn_deg, self.shift_mm],
@@ -100,9 +106,12 @@ class BaseMotion:
         return pose - SIGMAS * sigma, pose + SIGMAS * sigma
 
     def allows(self, shift_mm: Floats, turn_deg: Floats, sigmas: float = SIGMAS) -> bool:
-        """Return whether the markers allow a misalignment (3,) mm and (3,) deg.
+        """Return whether a misalignment lies within a number of standard deviations of the markers.
 
-        It lies within so many standard deviations of them.
+        Args:
+            shift_mm: (3,) mm.
+            turn_deg: rotation vector, (3,) degrees.
+            sigmas: number of standard deviations.
         """
         off = np.abs(
             np.r_[np.asarray(shift_mm) - self.shift_mm, np.asarray(turn_deg) - self.turn_deg]
@@ -111,16 +120,16 @@ class BaseMotion:
 
 
 def base_motion(run: Run, reference: Run | None = None) -> BaseMotion | None:
-    """Measure the pose and motion of the base of a run; return None if its markers do not show it.
+    """Measure the pose and motion of the base of a run.
 
     Args:
-        run: a run with `base_markers` (K, B, 3) mm.
+        run: a run with `base_markers`, (K, B, 3) mm.
         reference: a run with the same markers, for example the one that the model was learned from.
-            None compares with the first frames of the run itself.
+            None compares with the first frames of the run.
 
     Returns:
-        BaseMotion: None with fewer than three markers off one line, or fewer than eight frames that
-        show them.
+        BaseMotion | None: None if fewer than eight frames show three markers that are not on a
+            line.
 
     Raises:
         AlignError: the field has another shape.
@@ -138,10 +147,7 @@ def base_motion(run: Run, reference: Run | None = None) -> BaseMotion | None:
 
 
 def _measured(points: Floats, place: Floats, count: int) -> BaseMotion | None:
-    """Measure base markers (K, B, 3) mm against their mean `place` (B, 3) mm.
-
-    The mean is over so many other frames.
-    """
+    """Measure base markers (K, B, 3) mm against `place` (B, 3) mm, the mean over `count` frames."""
     if (
         points.shape[1:] != place.shape
         or points.shape[1] < LEAST_MARKERS
@@ -176,7 +182,7 @@ def _measured(points: Floats, place: Floats, count: int) -> BaseMotion | None:
 
 
 def kept_places(runs: Sequence[Run]) -> Document:
-    """Return the first run's places of base markers, for a model's `made_from`; {} if none."""
+    """Return the places of the first run's base markers, for `made_from` of a model; or {}."""
     points = _complete(base_markers(runs[0]))
     if points.shape[1] < LEAST_MARKERS or len(points) < LEAST_FRAMES:
         return {}
@@ -186,9 +192,12 @@ def kept_places(runs: Sequence[Run]) -> Document:
 def base_of(
     model: Model, run: Run, reference: Run | Sequence[Run] | None = None
 ) -> BaseMotion | None:
-    """Return the pose of a run's base against the reference run.
+    """Return the pose of a run's base against the reference, or else the runs of the model.
 
-    Without one, it is against the runs that taught the model.
+    Args:
+        model: its `made_from` holds the places of base markers.
+        run: the run.
+        reference: an earlier run, or None. With several, the result is None.
     """
     if reference is not None:
         several = reference if isinstance(reference, Sequence) else [reference]
@@ -200,10 +209,7 @@ def base_of(
 
 
 def bounded(layout: Layout, bases: Sequence[BaseMotion | None]) -> Layout:
-    """Return a layout in which base markers bound each run's `mount`, or remove it.
-
-    It is searched only where they allow it.
-    """
+    """Return a layout in which base markers bound the `mount` of each run."""
     low, high, limit = layout.low.copy(), layout.high.copy(), layout.limit.copy()
     start = layout.start.copy()
     for number, base in enumerate(bases, 1):
@@ -223,13 +229,14 @@ def excluded(
 ) -> dict[str, str]:
     """Return the frame effects that base markers exclude, and why.
 
-    The base rests, to within what counts.
-
     Args:
         runs: the runs.
-        bases: the pose of the base in each, against its reference.
-        reach_mm: distance of the farthest point of the body from the origin.
-        least_mm: least displacement of the body that counts.
+        bases: pose of the base in each run against its reference.
+        reach_mm: distance of the farthest point of the body from the origin, mm.
+        least_mm: least displacement of the body that counts, mm.
+
+    Returns:
+        dict[str, str]: the reason, by effect.
     """
     found = {}
     at_rest = [base for base in bases if base is not None and base.at_rest(reach_mm) < least_mm]
@@ -248,7 +255,7 @@ def excluded(
 
 
 def _place(made_from: Mapping[str, object]) -> Floats | None:
-    """Return the places (B, 3) mm of base markers in a manifest; None without such a table."""
+    """Return the places (B, 3) mm of base markers in a manifest; None without a valid table."""
     kept = made_from.get(PLACES)
     if not isinstance(kept, list) or not LEAST_MARKERS <= len(kept) <= MOST_MARKERS:
         return None
@@ -266,9 +273,9 @@ def _complete(points: Floats) -> Floats:
 
 
 def _sigma(place: Floats, noise: float) -> Floats:
-    """Return the standard deviation (6,) of one frame's turn (rad) and shift (mm).
+    """Return the standard deviation (6,) of one frame's rotation (rad) and shift (mm).
 
-    It follows from the markers' white noise.
+    It follows from the markers' white noise (mm).
     """
     x, y, z = place.T
     zero, one = np.zeros(len(place)), np.ones(len(place))

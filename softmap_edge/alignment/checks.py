@@ -28,7 +28,15 @@ STUDENT = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228
 
 
 def check_points_match(predicted: Floats, shape: tuple[int, ...]) -> None:
-    """Raise AlignError when a model predicts other points than the run shows, or none."""
+    """Reject a model that predicts other points than the run shows, or none.
+
+    Args:
+        predicted: (K, N, 3) mm.
+        shape: shape of the seen points.
+
+    Raises:
+        AlignError: their numbers differ, or a prediction is not finite.
+    """
     if predicted.shape[1:] != shape[1:] or not np.isfinite(predicted).all():
         raise AlignError(
             f"the model predicts {predicted.shape[1]} points at home, the run shows {shape[1]}; "
@@ -37,7 +45,11 @@ def check_points_match(predicted: Floats, shape: tuple[int, ...]) -> None:
 
 
 def check_places(places: Floats) -> None:
-    """Raise AlignError for fewer than three places (N, 3) mm, or places on one line."""
+    """Reject fewer than three places (N, 3) mm, or places on one line.
+
+    Raises:
+        AlignError: the fault.
+    """
     if len(places) < 3:
         raise AlignError(f"{len(places)} base points; a frame needs three that are not on one line")
     if not np.isfinite(places).all():
@@ -62,9 +74,15 @@ def _check_line(points: Floats, what: str, remedy: str) -> None:
 
 
 def check_turns(points: Floats, sigma: Floats, answer: Floats) -> None:
-    """Raise AlignError if the points or the turns' sigma leave one turn unknown.
+    """Reject points that leave a rotation unknown.
 
-    The points are (N, 3) mm, the sigma is (3,) rad.
+    Args:
+        points: (N, 3) mm.
+        sigma: standard deviation of the rotations, (3,) rad.
+        answer: response of the pose to the points, from `gain`.
+
+    Raises:
+        AlignError: the axis of the unknown rotation, and the remedy.
     """
     remedy = (
         "name three base markers that are not on one line (--base), or see more points away from "
@@ -80,14 +98,17 @@ def check_turns(points: Floats, sigma: Floats, answer: Floats) -> None:
 
 
 def check_scale(source: Floats, target: Floats, seen: Mask, what: str, left: float = 0.0) -> float:
-    """Return how many times too long point distances are, by the median over pairs.
+    """Return the ratio of point distances to the right ones, the median over pairs.
 
     Args:
-        source, target: (G, N, 3) mm. seen: (G, N). what: what has the right distances. left: mm RMS
-            after the pose.
+        source: measured points, (G, N, 3) mm.
+        target: points with the right distances, (G, N, 3) mm.
+        seen: which points are known, (G, N).
+        what: name of the target, for the message.
+        left: RMS distance after the pose, mm.
 
     Raises:
-        AlignError: they are of other units, or of another robot.
+        AlignError: the points are in another unit, or of another robot.
     """
     ratios = []
     rng = np.random.default_rng(0)
@@ -130,9 +151,18 @@ def check_scale(source: Floats, target: Floats, seen: Mask, what: str, left: flo
 def check_mirror(
     source: Floats, target: Floats, sigma: Floats, seen: Mask, pose: RigidPose, what: str
 ) -> None:
-    """Raise AlignError if a mirrored frame fits the points (N, 3) mm much better.
+    """Reject points that a mirrored frame fits much better than any rotation.
 
-    It is compared with any rotation.
+    Args:
+        source: measured points, (N, 3) mm.
+        target: points that they correspond to, (N, 3) mm.
+        sigma: standard deviation of a coordinate, (N,) mm.
+        seen: which points are known, (N,).
+        pose: the best rigid pose.
+        what: name of the target, for the message.
+
+    Raises:
+        AlignError: the frame is mirrored.
     """
     flipped = source * [1.0, 1.0, -1.0]
     mirror, _ = robust(flipped, target, sigma, seen)
@@ -151,7 +181,10 @@ def check_mirror(
 
 
 def student(freedom: int) -> float:
-    """Return the widening of a sigma from few groups, so that ± 2 of it hold 95 %."""
+    """Return the factor that widens a sigma from few groups, so that ± 2 of it hold 95 %.
+
+    It is Student's 97.5 % quantile over 1.96.
+    """
     if freedom < 1:
         return STUDENT[0] / 1.96
     return (STUDENT[freedom - 1] if freedom <= len(STUDENT) else 1.96 + 2.4 / (freedom - 1)) / 1.96

@@ -1,10 +1,11 @@
-"""Point clouds from files, as a run: one frame a file, or a run that holds them. mm.
+"""Read point clouds from files as a run: one frame a file, or a run that holds clouds. Units: mm.
 
 PLY, PCD, text (CSV, XYZ, PTS, COLMAP, OBJ vertices), NPY and NPZ are recognised by their content,
-not by their name. No code in a file is ever run, and sizes in a file are checked before memory is
-allocated. A file without times is one frame; frames are then one second apart. Pixels without depth
-are left out and counted (unseen.py), columns are found by their names, else by their values
-(columns.py). Pinned by tests/alignment/test_clouds.py and tests/alignment/test_clouds_of_others.py.
+not by their name. No code in a file is run, and sizes in a file are checked before memory is
+allocated. A file without times is one frame; the frames are then one second apart. Pixels without
+depth are left out and counted (`unseen.py`). Columns are found by their names, or else by their
+values (`columns.py`). Pinned by tests/alignment/test_clouds.py and
+tests/alignment/test_clouds_of_others.py.
 """
 
 from __future__ import annotations
@@ -52,19 +53,19 @@ _OTHERS = [
 
 
 def read_clouds(paths: Sequence[str | Path], notes: list[str] | None = None) -> Run:
-    """Read clouds: one run (.npz with `points` and `start`), or one frame from each of the files.
+    """Read clouds: one run (.npz with `points` and `start`), or one frame from each file.
 
     Args:
-        paths: files PLY, PCD, CSV, XYZ, OBJ, NPY or NPZ, of points (M, 3) mm.
-        notes: receives a sentence for each part that was left out and each choice of columns.
+        paths: PLY, PCD, CSV, XYZ, OBJ, NPY or NPZ files of points (M, 3) mm.
+        notes: receives a sentence for each part that was left out, and for each choice of columns.
 
     Returns:
-        Run: with `points` and `start`; without commands where the files hold none.
+        Run: with `points` and `start`; without commands if the files hold none.
 
     Raises:
         RegistrationError: a file is no cloud, or a run among other files; the message names it and
             its contents.
-        RunError: it is a run, and one of its fields is wrong.
+        RunError: a run with an invalid field.
     """
     files = [Path(path) for path in paths]
     found: list[str] = [] if notes is None else notes
@@ -88,17 +89,19 @@ def read_clouds(paths: Sequence[str | Path], notes: list[str] | None = None) -> 
 
 
 def clouds_of(run: Run) -> list[Floats]:
-    """Return the measured points (M, 3) mm of each cloud of a run, one cloud a frame.
+    """Return the measured points (M, 3) mm of each frame of a run, without pixels that lack depth.
 
-    Pixels without depth are left out.
+    Raises:
+        RegistrationError: the run holds no clouds.
     """
     return [cloud[left_out(cloud)[0]] for cloud in _clouds(run)]
 
 
 def with_depth(run: Run) -> tuple[Run, str]:
-    """Return a run of clouds without pixels that lack depth, and a sentence on these.
+    """Return a run of clouds without pixels that lack depth, and a sentence on them ("" if none).
 
-    The sentence is "" if there are none.
+    Raises:
+        RegistrationError: the run holds no clouds.
     """
     clouds = _clouds(run)
     found = [left_out(cloud) for cloud in clouds]
@@ -123,7 +126,7 @@ def _clouds(run: Run) -> list[Floats]:
 
 
 def _cloud(path: Path, notes: list[str]) -> Floats:
-    """Return the measured points (M, 3) of one file."""
+    """Return the measured points (M, 3) mm of one file."""
     if not path.is_file():
         raise RegistrationError(
             f"{path}: {'not a file' if path.exists() else 'there is no such file'}; give a cloud"

@@ -1,10 +1,9 @@
-"""Points averaged over groups of frames, a pose for each group, and motion between them.
+"""Average points over groups of frames, fit a pose to each group, and find motion between them.
 
-The motion is that of a base within a run.
-
-Motion: the two groups between which the farthest point of the robot is displaced most; it counts
-where it is far above the noise of the groups (sensor noise, and what neighbouring groups differ by)
-and large enough to matter. Units: mm, rad, s. Pinned by tests/alignment/test_align.py.
+The motion is the largest displacement of the robot's farthest point between two groups. It counts
+if it is far above the noise of the groups and large enough to matter. This noise is sensor noise
+and the difference between neighbouring groups. Units: mm, rad, s. Pinned by
+tests/alignment/test_align.py.
 """
 
 from __future__ import annotations
@@ -35,9 +34,12 @@ MOVED_CHI2 = 50.0  # of six numbers: by chance in one of 10⁸
 class Groups:
     """Points averaged over groups of frames.
 
-    `source` and `target` (G, N, 3) mm, `count` (G, N) frames, `t` (G, 2) s.
-
-    `noise` mm, one coordinate of one frame.
+    Attributes:
+        source: measured points, (G, N, 3) mm.
+        target: the same points in the base frame, (G, N, 3) mm.
+        count: number of frames that show each point, (G, N).
+        t: times of the first and last frame, (G, 2) s.
+        noise: standard deviation of one coordinate in one frame, mm.
     """
 
     source: Floats
@@ -49,11 +51,16 @@ class Groups:
 
 @dataclass(frozen=True)
 class Moved:
-    """A motion within a run: of what, by how much, and when.
+    """A motion of the base or of home within a run.
 
-    Its size is in deg, mm at the origin, and mm at the robot's farthest point.
-
-    `gradual` is False where more than 60 % of it happens between two neighbouring groups of frames.
+    Attributes:
+        what: "the base" or "home".
+        turn_deg: rotation, degrees.
+        shift_mm: shift at the origin, mm.
+        farthest_mm: displacement of the robot's farthest point, mm.
+        from_s: time at which it begins, s.
+        to_s: time at which it ends, s.
+        gradual: False if more than 60 % of it happens between two neighbouring groups of frames.
     """
 
     what: str
@@ -89,9 +96,14 @@ class Moved:
 def group(
     run: Run, seen: Floats, visible: Mask, target: Floats, parts: Sequence[NDArray[np.int64]]
 ) -> Groups:
-    """Average each point over each group: the median of what is visible.
+    """Average each point over each group: the median, which one bad frame hardly changes.
 
-    A bad frame does not move it.
+    Args:
+        run: its times and declared noise are used.
+        seen: measured points, (K, N, 3) mm.
+        visible: which points were seen, (K, N).
+        target: the same points in the base frame, (K, N, 3) mm.
+        parts: the frames of each group.
     """
     shape = (len(parts), seen.shape[1], 3)
     source, targets, squares, freedom = np.zeros(shape), np.zeros(shape), 0.0, 0
@@ -116,9 +128,9 @@ def group(
 
 
 def small_pose(groups: Groups, g: int, weight: Floats, pose: RigidPose) -> Floats:
-    """Return the small turn (rad) and shift (mm) (6,) of a group against the common pose.
+    """Return the small rotation (rad) and shift (mm) of a group against the common pose, (6,).
 
-    NaN where it has none.
+    It is NaN if fewer than three points of the group have a weight.
     """
     if (weight > 0).sum() < 3:
         return np.full(6, np.nan)
@@ -129,9 +141,15 @@ def small_pose(groups: Groups, g: int, weight: Floats, pose: RigidPose) -> Float
 def base_motion(
     run: Run, points: Floats, known: Mask, target: Floats, far: Floats, pose: RigidPose
 ) -> Moved | None:
-    """Return how base points (K, B, 3) at `target` (B, 3) move within a run.
+    """Return the motion of the base within a run; None without one.
 
-    `far` (N, 3) are the robot's points.
+    Args:
+        run: its times and declared noise are used.
+        points: points of the base, (K, B, 3) mm.
+        known: which of them were seen, (K, B).
+        target: their places in the base frame, (B, 3) mm.
+        far: points of the robot, (N, 3) mm, whose farthest displacement is reported.
+        pose: near the poses of all groups.
     """
     usable = np.flatnonzero(known.sum(axis=1) >= 3)
     if len(target) < 3 or len(usable) < 2 * GROUP_FRAMES:
@@ -153,12 +171,14 @@ def base_motion(
 
 
 def find_motion(poses: Floats, noise: Floats, t: Floats, points: Floats, what: str) -> Moved | None:
-    """Report whether groups of frames are displaced against each other.
+    """Return the largest displacement between groups of frames; None if it does not matter.
 
     Args:
-        poses: (G, 6) small turns (rad) and shifts (mm). noise: (6, 6) covariance of one. t: (G, 2)
-            s, first and last frame of each. points: (N, 3) mm, whose farthest displacement is
-            reported. what: "the base" or "home".
+        poses: small rotations (rad) and shifts (mm), (G, 6).
+        noise: covariance of one pose, (6, 6).
+        t: times of the first and last frame of each group, (G, 2) s.
+        points: (N, 3) mm, whose farthest displacement is reported.
+        what: "the base" or "home".
     """
     known = np.flatnonzero(np.isfinite(poses).all(axis=1))
     if len(known) < 2:
@@ -199,15 +219,17 @@ def find_motion(poses: Floats, noise: Floats, t: Floats, points: Floats, what: s
 def follow(
     points: Floats, known: Mask, target: Floats, noise_mm: float, pose: RigidPose
 ) -> tuple[RigidPose, str]:
-    """Return a pose for each frame, and a sentence on the noise that they add.
+    """Return a pose for each frame, and a sentence on the noise that the poses add.
 
-    They are smoothed as far as the base's motion allows; frames that show too little take those of
-    their neighbours.
+    The poses are smoothed as far as the motion of the base allows. Frames that show too few points
+    use the poses of their neighbours.
 
     Args:
-        points: (K, B, 3) mm, of the base. known: (K, B). target: (B, 3) mm, their places. noise_mm:
-            of one frame.
-        pose: near all of them.
+        points: points of the base, (K, B, 3) mm.
+        known: which of them were seen, (K, B).
+        target: their places in the base frame, (B, 3) mm.
+        noise_mm: noise of one point in one frame, RMS mm.
+        pose: near the poses of all frames.
     """
     noise = max(noise_mm / np.sqrt(3.0), 1e-6)
     poses, weight = refined(points, target, np.full(len(target), noise), known, pose)
@@ -244,10 +266,10 @@ def _smoothed(small: Floats, half: int) -> Floats:
 
 
 def _window(small: Floats, one: Floats) -> int:
-    """Return the frames per side to average poses (K, 6) over: those that predict best.
+    """Return the number of frames per side over which the mean of poses (K, 6) predicts best.
 
-    `one` (6,): variance of one frame's pose by sensor noise; a motion that neighbours predict no
-    better is left raw.
+    `one` (6,) is the variance of one frame's pose by sensor noise. It is 0 for a motion that
+    neighbours do not predict better than this noise.
     """
     unit = np.array([LEVER] * 3 + [1.0] * 3)
     best, least = 0, 2.0 * float(np.sum(one * unit**2))

@@ -1,13 +1,14 @@
-"""Registration of a finger's template to point clouds, one frame or a run, with sigma.
+"""Register a finger's template to point clouds, one frame or a run: places of its vertices, sigma.
 
-It gives the places of its vertices.
+- `robust` (default) starts from the shape of the model that is nearest to the cloud, and moves as
+  rigidly as possible about that shape. It fits the cloud to the surface, with weights that remove
+  outliers (`rust/geometry/register.rs`).
+- `paper` is the published objective: each vertex, or each handle of a model that has them, moves to
+  its nearest point, starting at rest (`rust/geometry/paper.rs`).
 
-`robust` (default): from the shape of the model that is nearest to the cloud, as-rigid-as-possible
-about that shape, data from the cloud to the surface with weights that let outliers go
-(`rust/geometry/register.rs`). `paper`: the published objective, each vertex (of a model with
-handles, each of these) to its nearest point, from the shape at rest (`rust/geometry/paper.rs`).
-Base frame, mm. Clouds do not show the roll of a round finger: the roll of the vertices is that of
-the start. Pinned by tests/alignment/test_registration.py, tests/geometry/test_handles.py.
+Frame: the base. Unit: mm. Limit: clouds do not show the roll of a round finger, so the roll of the
+vertices is that of the start. Pinned by tests/alignment/test_registration.py and
+tests/geometry/test_handles.py.
 """
 
 from __future__ import annotations
@@ -52,14 +53,18 @@ PRINTED = 5  # frames with warnings that are printed
 
 @dataclass(frozen=True, eq=False)
 class Registered:
-    """A template fitted to K clouds: `vertices` (K, N, 3) mm, `support` (K, N), `frames`.
+    """A template fitted to K clouds; `to_dict()` is the document softmap.registration/1.
 
-    `frames` has a row for each cloud.
+    It prints as text.
 
-    `support` is how many points of the cloud speak for a vertex, by their weights (the robust mode
-    uses 2000 at most); what has none was not seen and is placed by its neighbours. `mode` names the
-    method, `warnings` what looks wrong, frame by frame. Prints itself; `to_dict()` is
-    softmap.registration/1.
+    Attributes:
+        vertices: (K, N, 3) mm.
+        support: number of points of the cloud that determine a vertex, by their weights, (K, N);
+            the robust mode uses at most 2000 points. A vertex without support was not seen, and its
+            neighbours place it.
+        frames: report of each cloud.
+        mode: the method.
+        seconds: computing time, s.
     """
 
     vertices: Floats
@@ -70,7 +75,7 @@ class Registered:
 
     @property
     def visible(self) -> NDArray[np.bool_]:
-        """Which vertices (K, N) a cloud has seen."""
+        """Which vertices (K, N) a cloud shows."""
         return self.support >= SEEN
 
     def to_dict(self) -> Document:
@@ -109,9 +114,9 @@ class Registered:
         )
 
     def run(self, of: Run) -> Run:
-        """Return the run of clouds `of` as one of vertices.
+        """Return the run of clouds `of` as a run of vertices.
 
-        It has `visible`, `sigma` (mm), and the roll marked as not seen.
+        It has `visible` and `sigma` (mm), and its roll is marked as not seen.
         """
         noise = np.array([row["noise_mm"] for row in self.frames])[:, None]
         sigma = np.sqrt(noise**2 / np.maximum(self.support, SEEN) + OWN_MM**2)
@@ -128,10 +133,10 @@ class Registered:
 
 
 def register(model: Model, of: Run | Sequence[Floats], mode: Mode = "robust") -> Registered:
-    """Lay the template of a model onto point clouds of its finger.
+    """Fit the template of a model to point clouds of its finger.
 
     Args:
-        model: of the finger, with a surface (a bundle built from a finger or a sweep with
+        model: of the finger, with a surface (a bundle built from a finger, or from a sweep with
             triangles).
         of: a run of clouds, or clouds (M, 3) mm in the base frame.
         mode: "robust", or "paper" for the published objective.
@@ -140,8 +145,8 @@ def register(model: Model, of: Run | Sequence[Floats], mode: Mode = "robust") ->
         Registered: one frame for each cloud.
 
     Raises:
-        RegistrationError: the model has no surface, a cloud is empty or tiny, in another unit or of
-            another object.
+        RegistrationError: the model has no surface, or a cloud is empty, tiny, in another unit or
+            of another object.
     """
     if not len(model.triangles):
         raise RegistrationError(
@@ -183,7 +188,7 @@ def register(model: Model, of: Run | Sequence[Floats], mode: Mode = "robust") ->
 
 
 def clamped(model: Model) -> NDArray[np.int64]:
-    """Return the vertices that no command moves: those that the clamp holds."""
+    """Return the vertices that no command moves, because the clamp holds them."""
     shapes = np.asarray(model.prior.evaluate(np.array(_candidates(model)))).reshape(
         -1, *model.rest.shape
     )
@@ -191,7 +196,7 @@ def clamped(model: Model) -> NDArray[np.int64]:
 
 
 def _candidates(model: Model) -> list[list[float]]:
-    """Return commands all over the range of a model."""
+    """Return commands that cover the range of a model."""
     low, high = model.command_range.T
     each = max(2, min(GRID, int(CANDIDATES ** (1.0 / max(1, model.channels)))))
     axes = [np.linspace(a, b, each) for a, b in zip(low, high)]
@@ -219,7 +224,7 @@ def _check(k: int, cloud: Floats, rest: Floats) -> None:
 def _robust(
     core: _core.Registration, model: Model, run: Run | None, clouds: list[Floats]
 ) -> list[Document]:
-    """Register clouds, each from the shapes that the model has in its orientation."""
+    """Register clouds, each from the shapes of the model in its orientation."""
     low, high = model.command_range.T.tolist()
     found: list[Document] = [{}] * len(clouds)
     for rows, shape in (
@@ -263,7 +268,7 @@ def _published(core: _core.Registration, model: Model, clouds: list[Floats]) -> 
 
 
 def _row(k: int, one: Document, mode: Mode) -> Document:
-    """Return the report of one frame: numbers, and what looks wrong."""
+    """Return the report of one frame: numbers and warnings."""
     row: Document = {
         "frame": k,
         "residual_mm": float(one["residual_mm"]),

@@ -1,7 +1,7 @@
 """The result of an alignment as text and document, and the transform of a run to its frame.
 
-Rotations and shifts are small, about the axes and the origin of the base frame, as in the effect
-`mount`; deg, mm.
+Rotations and shifts are small. They are about the axes and the origin of the base frame, as in the
+effect `mount`. Units: deg, mm.
 """
 
 from __future__ import annotations
@@ -26,13 +26,25 @@ SCHEMA = "softmap.align/1"
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """A transform found, p_base = rotation · p_seen + shift; `to_dict()` is softmap.align/1.
+    """A rigid transform p_base = rotation · p_seen + shift; `to_dict()` is softmap.align/1.
 
     It prints as text.
 
-    `sigma` (6,): standard deviations of turns about x, y, z of the base frame (deg), then of shifts
-    (mm). `moved`: how the base or home moved within the run, None where it did not. `frames`: a
-    pose for each frame of the run, where it was asked for.
+    Attributes:
+        pose: the transform.
+        sigma: standard deviations of the rotations about x, y, z of the base frame (deg) and of the
+            shifts (mm), (6,).
+        method: what it is from, in words.
+        groups: number of groups of frames.
+        used_frames: number of frames.
+        points: number of points.
+        wrong_points: numbers of the points that were left out as wrong.
+        residual_mm: RMS distance between points and places after the transform, mm.
+        noise_mm: noise of a point in one frame, mm.
+        scale: ratio of the measured point distances to the right ones.
+        moved: motion of the base or of home within the run; None without one.
+        notes: remarks, each a sentence.
+        frames: a pose for each frame, on request.
     """
 
     pose: RigidPose
@@ -99,13 +111,15 @@ class Alignment:
 
 
 def in_frame(run: Run, pose: RigidPose, sigma: Floats, frames: RigidPose | None = None) -> Run:
-    """Return the run with what was seen and what is on the base, moved by a pose.
+    """Return the run with all that was seen, and all that is on the base, moved by a pose.
 
-    `frame` states it.
+    The fields `frame` and `frame_sigma` of the result record it.
 
     Args:
-        sigma: (6,) of the pose, deg and mm. frames: a pose for each frame, which takes what is seen
-            in it instead.
+        run: the run.
+        pose: the transform.
+        sigma: standard deviations of the pose, (6,), deg and mm.
+        frames: a pose for each frame, used for what is seen in it instead of `pose`.
     """
     change: Document = {}
     for name in SEEN:
@@ -130,7 +144,7 @@ def in_frame(run: Run, pose: RigidPose, sigma: Floats, frames: RigidPose | None 
 
 
 def base_markers(run: Run) -> Floats:
-    """Return the markers on the base (K, B, 3) mm that an import keeps; B = 0 without any.
+    """Return the markers on the base (K, B, 3) mm that an import stored; B = 0 without any.
 
     Raises:
         AlignError: the field has another shape.

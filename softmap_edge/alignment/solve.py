@@ -1,15 +1,13 @@
-"""From groups of frames to one pose, and how well it is known.
+"""Fit one pose to groups of frames, and estimate its uncertainty.
 
     Σ = T² · max(scatter of the groups' poses, sensor noise)/groups + shape
-        six numbers: turns, then shifts
-    T  widens for few groups: Student's 97.5 % over 1.96, so that ± 2 σ holds 95 %
-    shape: model and robot differ at home; the model error, as large as the misfit there,
-        correlated along it;
-           of base points, the misfit over the coordinates that the pose did not take (3 N − 6),
-           each point for itself
+        six numbers: rotations, then shifts
+    T       widens for few groups: Student's 97.5 % over 1.96, so that ± 2 σ holds 95 %
+    shape   of home frames: the model error, correlated along the body and scaled to the misfit;
+            of base points: the misfit over the coordinates that the pose does not use (3 N − 6),
+            independent for each point
 
-Units: mm and rad inside, degrees in reports. Pinned by tests/alignment/test_align.py over many
-seeds.
+Units: mm and rad; degrees in reports. Pinned by tests/alignment/test_align.py over many seeds.
 """
 
 from __future__ import annotations
@@ -39,10 +37,19 @@ def solve(
     motion: Callable[[RigidPose], Moved | None] | None = None,
     measured: bool = False,
 ) -> Alignment:
-    """Fit one pose to all groups and one to each; weight them by their information.
+    """Fit one pose to all groups and one to each, weighted by their information.
 
-    `motion` states whether the base moved; `measured`: the target points were measured one by one,
-    as with a ruler.
+    Args:
+        groups: points averaged over groups of frames.
+        form: model error at places along the body, (S, 3) mm.
+        section: place of each point, (N,).
+        method: what the alignment is from, in words.
+        what: name of the target, for messages.
+        motion: returns the motion of the base, given the pose.
+        measured: whether the target points were measured one by one, as with a ruler.
+
+    Raises:
+        AlignError: fewer than three points, or as for the functions of `checks.py`.
     """
     # A median of frames is 1.25 times as uncertain as their mean.
     sensor = 1.2533 * groups.noise / np.sqrt(np.maximum(groups.count, 1))
@@ -117,10 +124,7 @@ def solve(
 
 
 def _wander(groups: Groups, inlier: Mask, pose: RigidPose) -> Floats:
-    """Return each point's scatter (N,) between the groups, mm per coordinate.
-
-    The rigid pose is removed first.
-    """
+    """Return the scatter (N,) mm a coordinate of points between the groups, after the pose."""
     count = inlier.sum(axis=0)
     left = np.where(inlier[..., None], pose(groups.source) - groups.target, 0.0)
     mean = left.sum(axis=0) / np.maximum(count, 1)[:, None]
@@ -131,9 +135,9 @@ def _wander(groups: Groups, inlier: Mask, pose: RigidPose) -> Floats:
 def _shape_covariance(
     answer: Floats, form: Floats, section: NDArray[np.int64], residual: Floats, inlier: Mask
 ) -> Floats:
-    """Return the covariance (6, 6) from different shapes of model and robot.
+    """Return the covariance (6, 6) by the different shapes of model and robot.
 
-    It is scaled to the error after the pose.
+    It is scaled to the error that remains after the pose.
     """
     # (N, 3) mean over the groups
     left = residual.sum(axis=0) / np.maximum(inlier.sum(axis=0), 1)[:, None]
@@ -147,10 +151,10 @@ def _shape_covariance(
 
 
 def _ruler_covariance(answer: Floats, residual: Floats, inlier: Mask) -> Floats:
-    """Return the covariance (6, 6) of places measured one by one, from the residual.
+    """Return the covariance (6, 6) by places that were measured one by one, from the residual.
 
-    The pose takes six of the 3 N coordinates, so with three or four places the residual shows only
-    a small part of their error.
+    The pose uses six of the 3 N coordinates, so with three or four places the residual shows only a
+    small part of their error.
     """
     known = inlier.any(axis=0)
     # (N, 3) mean over the groups

@@ -1,9 +1,9 @@
 """Group the frames of a run by held command, so that each command counts once.
 
-Frames of one dwell share their disturbances, and dwells at one command share the model's error
-there. So the rows of a calibration are held commands: places in ticks, with the mean of their
-matches. If a run does not dwell enough, places are small cells of ticks and include frames in
-motion. Units: ticks, s, and those of the commands.
+Frames of one dwell share their disturbances, and dwells at one command share the model error there.
+So the rows of a calibration are held commands: places in ticks, with the mean of their matches. If
+a run does not dwell enough, places are small cells of ticks and include frames in motion. Units:
+ticks, s, and those of the commands.
 """
 
 from __future__ import annotations
@@ -30,13 +30,17 @@ WINDOW = 0.5  # s over which the direction of a servo is determined
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Held commands: `ticks` (n, C), `u` (n, C) the matched commands, their `covariance`.
+    """The held commands of a run.
 
-    Also which are `observed`.
-
-    `place` (n,) numbers the places; `direction` (n, m) holds signs of the last motion before, where
-    they were asked for; `frames` are the numbers of the frames of each. `still` states whether they
-    are dwells.
+    Attributes:
+        ticks: (n, C).
+        u: matched commands, (n, C).
+        covariance: of the matched commands, (n, C, C).
+        observed: commands that move the shape there, (n, C).
+        place: number of the place, (n,).
+        direction: signs of the last motion before, (n, m); m = 0 if they were not requested.
+        frames: numbers of the frames of each held command.
+        still: whether the held commands are dwells.
     """
 
     ticks: Floats
@@ -54,7 +58,14 @@ class HeldOut:
 
 @dataclass(frozen=True, eq=False)
 class SeenMarkers:
-    """What was seen, frame by frame (those of use): number, ticks (k, C) and place (k,)."""
+    """The usable frames of a run and their places.
+
+    Attributes:
+        frame: numbers of the frames, (k,).
+        ticks: (k, C).
+        place: number of the place, (k,).
+        still: whether the robot rests in all of them.
+    """
 
     frame: Index
     ticks: Floats
@@ -63,7 +74,13 @@ class SeenMarkers:
 
 
 def places(run: Run, ticks: Floats, usable: Mask) -> SeenMarkers:
-    """Return the place of each usable frame of a run, from the ticks (T, C) of its record."""
+    """Return the places of the usable frames of a run.
+
+    Args:
+        run: the run.
+        ticks: of its record, (T, C).
+        usable: which frames may be used, (K,).
+    """
     state = conditions(run, ticks)
     span = np.maximum(np.ptp(ticks, axis=0), 1.0)
     still = np.flatnonzero(usable & ~state.moving)
@@ -79,7 +96,11 @@ def places(run: Run, ticks: Floats, usable: Mask) -> SeenMarkers:
 def gather(seen: SeenMarkers, matches: Matches, direction: Floats | None = None) -> HeldOut:
     """Return the held commands of a run: one for each place.
 
-    With `direction` (K, m) of the frames, there is one for each place and direction.
+    Args:
+        seen: the usable frames and their places.
+        matches: commands of all frames.
+        direction: sign of the last motion before each frame, (K, m); with it, there is one held
+            command for each place and direction.
     """
     way = np.zeros((len(seen.frame), 0)) if direction is None else direction[seen.frame]
     keys = np.column_stack([seen.place, way])
@@ -100,16 +121,21 @@ def gather(seen: SeenMarkers, matches: Matches, direction: Floats | None = None)
 
 
 def visits(run: Run, ticks: Floats, seen: SeenMarkers) -> Index:
-    """Return the number of dwells at each place, by its number."""
+    """Return the number of dwells at each place, by the number of the place."""
     visit = conditions(run, ticks).visit[seen.frame]
     pairs = np.unique(np.column_stack([seen.place, visit]), axis=0)
     return np.bincount(pairs[:, 0])
 
 
 def directions(run: Run, drive: Floats) -> Floats:
-    """Return the sign (K, m) of each column's last motion before each frame; 0: none.
+    """Return the sign of the last motion of each column before each frame.
 
-    The columns are those of `drive` (T, m).
+    Args:
+        run: the run.
+        drive: positions of servos, or commands, (T, m).
+
+    Returns:
+        Floats: signs (K, m); 0 before the first motion.
     """
     t, past = run.t, np.maximum(run.t - WINDOW, run.t[0])
     moved = np.column_stack([column - np.interp(past, t, column) for column in drive.T])
@@ -127,7 +153,7 @@ def directions(run: Run, drive: Floats) -> Floats:
 def _places(ticks: Floats, visit: Index, span: Floats) -> Index:
     """Return the number (k,) of each frame's place.
 
-    Dwells whose middles are within SAME of the first are at one place.
+    Dwells whose medians lie within SAME of the first one are at one place.
     """
     number = np.zeros(len(ticks), np.int64)
     leaders = np.zeros((0, ticks.shape[1]))

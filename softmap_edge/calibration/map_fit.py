@@ -5,12 +5,12 @@
     var φ = [H⁻¹ (Σ_k s_k s_kᵀ) H⁻¹] n / (n − p)    of an M-estimator (Huber 1981, 7.6), s_k = the
                                                     score of each row
 
-d_k is the distance of a held command from the map, in mm of shape; errors that no command can
-correct do not count. A slack command hardly moves the shape. When matched, it jumps over the full
+d_k is the distance of a held command from the map, in mm of shape. Errors that no command can
+correct do not count. A slack command hardly moves the shape: a match of it jumps over the full
 slack because of small model errors, and so does a fit to matched commands. Here its weight is its
 effect on the shape. φ is a rotation of all shapes about the base's axis, fitted with the map on
-request: tendons at other angles about the axis, or the roll of the frame. Units: mm, ticks, rad.
-Pinned by tests/calibration/test_calibration.py.
+request. It stands for tendons at other angles about the axis, or for the roll of the frame. Units:
+mm, ticks, rad. Pinned by tests/calibration/test_calibration.py.
 """
 
 from __future__ import annotations
@@ -41,9 +41,13 @@ EXACT = 1e-6  # mm: smaller scatter is ignored
 
 @dataclass(frozen=True, eq=False)
 class MapFit:
-    """Coefficients (C, C + 1) of A and b, the turn in rad and its standard deviation.
+    """A map of ticks to commands, fitted to shapes.
 
-    `weight` (n,) of each held command is 0 where it is wrong.
+    Attributes:
+        coefficients: A and b, (C, C + 1).
+        turn: rotation of all shapes about the axis of the base, rad.
+        turn_sigma: its standard deviation, rad.
+        weight: of each held command, (n,); 0 if it is an outlier.
     """
 
     coefficients: Floats
@@ -62,7 +66,15 @@ class Sights:
     def __init__(
         self, model: Model, run: Run, held: HeldOut, seen: SeenMarkers, home: Floats
     ) -> None:
-        """Pick the frames of `held` among those `seen`; `home` (C,) ticks."""
+        """Choose the frames of the held commands.
+
+        Args:
+            model: its shapes are compared with the run.
+            run: with shapes.
+            held: the held commands.
+            seen: the frames of the run that may be used.
+            home: (C,) ticks.
+        """
         each = max(1, min(EACH, MOST // max(len(held), 1)))
         picked = [
             np.unique(part[np.linspace(0, len(part) - 1, each).astype(int)]) for part in held.frames
@@ -84,9 +96,15 @@ class Sights:
         ]
 
     def look(self, coefficients: Floats, turn: float) -> tuple[Floats, Floats]:
-        """Return a map's errors of the shapes (n, N, 3), and the slopes (n, N, 3, C + 1).
+        """Return the errors of the shapes under a map, and their slopes.
 
-        The slopes are by commands and turn.
+        Args:
+            coefficients: A and b, (C, C + 1).
+            turn: rotation of all shapes, rad.
+
+        Returns:
+            tuple[Floats, Floats]: errors (n, N, 3) mm, and slopes (n, N, 3, C + 1) by commands and
+                rotation.
         """
         u = self.design @ coefficients.T
         left, slopes = np.empty(self.points.shape), np.empty((*self.points.shape, u.shape[1] + 1))
@@ -100,27 +118,33 @@ class Sights:
         return left, slopes
 
     def normal(self, left: Floats, slopes: Floats) -> tuple[Floats, Floats]:
-        """Return Jᵀ W J (n, C + 1, C + 1) and Jᵀ W left (n, C + 1) per frame.
+        """Return Jᵀ W J (n, C + 1, C + 1) and Jᵀ W left (n, C + 1) of each frame.
 
-        They are for commands and turn.
+        They are for the commands and the rotation.
         """
         bend = np.einsum("kn,knxc,knxd->kcd", self.weight, slopes, slopes, optimize=True)
         return bend, np.einsum("kn,knxc,knx->kc", self.weight, slopes, left, optimize=True)
 
     def error_of(self, found: MapFit) -> Floats:
-        """Return the RMS distance (rows,) in mm of each held command from a map."""
+        """Return the RMS distance (rows,) mm of each held command from a map."""
         return self.errors(self.look(found.coefficients, found.turn)[0])
 
     def errors(self, left: Floats) -> Floats:
-        """Return the RMS distance (rows,) in mm of each held command."""
+        """Return the RMS distance (rows,) mm of each held command, from errors (n, N, 3) mm."""
         square = np.einsum("kn,knx->k", self.weight, left**2)
         return np.asarray(np.sqrt(np.bincount(self.row, square) / np.bincount(self.row)))
 
 
 def turned_shapes(sights: Sights, start: Floats, blocks: list[Mask]) -> list[Departure]:
-    """Return the share of held-out error that a rotation of all shapes explains, if significant.
+    """Return the share of the held-out error that a rotation about the base's axis explains.
 
-    The rotation is about the axis of the base.
+    Args:
+        sights: the data.
+        start: A and b at the start, (C, C + 1).
+        blocks: held commands that are left out together, (rows,) each.
+
+    Returns:
+        list[Departure]: empty if the rotation is not significant.
     """
     error, features = np.full((2, sights.rows), np.nan), start.shape[1]
     for test in blocks:
@@ -155,7 +179,14 @@ def turned_shapes(sights: Sights, start: Floats, blocks: list[Mask]) -> list[Dep
 
 
 def fit_map(sights: Sights, start: Floats, turned: bool, use: Mask) -> MapFit:
-    """Fit A and b (C, C + 1), and optionally a rotation, to the held commands `use` (rows,)."""
+    """Fit A and b, and optionally a rotation, to held commands.
+
+    Args:
+        sights: the data.
+        start: A and b at the start, (C, C + 1).
+        turned: whether to fit the rotation.
+        use: held commands to fit, (rows,).
+    """
     channels, features = start.shape
     size = np.maximum(np.sqrt(np.mean(sights.design**2, axis=0)), 1e-300)
     # what a coefficient moves
@@ -171,7 +202,7 @@ def fit_map(sights: Sights, start: Floats, turned: bool, use: Mask) -> MapFit:
     theta, damping = np.r_[start.ravel() * scale[: start.size], np.zeros(int(turned))], 1e-6
 
     def at(theta: Floats) -> tuple[Floats, Floats, Floats, Floats, float]:
-        """Return errors, weights and mean slope of ψ, matrix and scores at coefficients."""
+        """Return errors, weights, matrix, scores, and the mean slope of ψ at coefficients."""
         left, slopes = sights.look(
             (theta / scale)[: start.size].reshape(start.shape), theta[-1] if turned else 0.0
         )
@@ -204,10 +235,7 @@ def fit_map(sights: Sights, start: Floats, turned: bool, use: Mask) -> MapFit:
 
 
 def _weights(bend: Floats, pull: Floats, row: NDArray[np.int64], use: Mask) -> tuple[Floats, float]:
-    """Return Tukey's weight of each held command (rows,), and the mean slope of ψ.
-
-    The weight is by its distance from the map.
-    """
+    """Return Tukey's weights (rows,) of held commands by their distance, and the slope of ψ."""
     channels = pull.shape[1]
     h, g = np.zeros((len(use), channels, channels)), np.zeros((len(use), channels))
     per = np.bincount(row)
@@ -224,5 +252,5 @@ def _weights(bend: Floats, pull: Floats, row: NDArray[np.int64], use: Mask) -> t
 
 
 def _middle(count: int) -> float:
-    """Return the median length of so many normal numbers (Wilson & Hilferty 1931, to 2 %)."""
+    """Return the median length of `count` normal numbers (Wilson & Hilferty 1931, to 2 %)."""
     return float(np.sqrt(count * (1.0 - 2.0 / (9.0 * count)) ** 3))

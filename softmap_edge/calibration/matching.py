@@ -1,15 +1,15 @@
 """Find the model's command for each measured shape: the nearest of a grid, then the best between.
 
     j*(k) = argmin_j MAE(Y_k, f(u_j))  over the seen vertices
-        nearest of the grid (SoftMap, Data Alignment)
-    u*(k) = argmin_u Σ w (Y_k − f(u))²,  l ≤ u ≤ h  Levenberg-Marquardt from there, w = 1 / sigma²
+        nearest shape of the grid (SoftMap, Data Alignment)
+    u*(k) = argmin_u Σ w (Y_k − f(u))²,  l ≤ u ≤ h
+        Levenberg-Marquardt from there, w = 1 / sigma²
 
-The paper stops at j*: its error is up to half a step of the grid, and more between similar shapes.
+The paper stops at j*. Its error is up to half a step of the grid, and more between similar shapes.
 f is the prior of the model, with its residual if any, in the orientation of the run, without loads.
-A cloud does not show the roll of a round finger (`roll_seen` false), so the rotation of each
-section about the body is removed from residuals and slopes. Units: mm, and those of the commands.
-    Pinned by
-tests/calibration/test_calibration.py.
+A cloud does not show the roll of a round finger (`roll_seen` is false). The rotation of each
+section about the body is then removed from residuals and slopes. Units: mm, and those of the
+commands. Pinned by tests/calibration/test_calibration.py.
 """
 
 from __future__ import annotations
@@ -52,13 +52,15 @@ LEAST_SEEN = 0.1  # share of the points that a matched frame must show
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """The commands (K, C) whose shapes are nearest to K frames; NaN where a frame shows too little.
+    """The commands whose shapes are nearest to those of K frames.
 
-    `covariance` (K, C, C) of each, from the noise and from the misfit, section by section. `mae_mm`
-    (K,) is the mean absolute error after the fit, over the coordinates of the points seen. `edge`
-    (K,) marks commands at the end of the model's range, beyond which the true one may lie.
-    `observed` (K, C) marks the commands that move the shape there: where both tendons of a pair
-    hang slack, the command between them is a guess, with the variance of the full range.
+    Attributes:
+        command: (K, C); NaN if a frame shows too few points.
+        covariance: of each command, (K, C, C), from the noise and from the misfit of each section.
+        mae_mm: mean absolute error after the fit, over the coordinates of the seen points, (K,) mm.
+        edge: commands at the end of the model's range, (K,); the true command may lie beyond it.
+        observed: commands that move the shape there, (K, C). If both tendons of a pair are slack,
+            their command is a guess with the variance of the full range.
     """
 
     command: Floats
@@ -72,10 +74,11 @@ def match(model: Model, run: Run, refine: bool = True) -> Matches:
     """Find the command of a model behind each frame of a run.
 
     Args:
-        model: prior and residual are matched, its effects are not.
-        run: with the model's own vertices or markers, in the base frame, or with markers carried on
+        model: its prior and residual are matched, its effects are not.
+        run: with the model's own vertices or markers in the base frame, or with markers carried on
             its template.
-        refine: go on between the shapes of the grid; without, the answer of the paper.
+        refine: continue between the shapes of the grid; without it, the result is that of the
+            paper.
 
     Returns:
         Matches: one command for each frame.
@@ -120,10 +123,18 @@ def match(model: Model, run: Run, refine: bool = True) -> Matches:
 def linearised(
     model: Model, run: Run, matches: Matches, frames: Index, commands: Floats, turn: float
 ) -> Matches:
-    """Return the matches, some frames (F,) updated by one Gauss-Newton step from commands (F, C).
+    """Return the matches, with some frames updated by one Gauss-Newton step.
 
     Commands that are slack in the map stay there, so model errors do not make them jump over the
-    slack. `turn` (rad) rotates all shapes about the axis of the base.
+    slack.
+
+    Args:
+        model: as for `match`.
+        run: as for `match`.
+        matches: of all frames of the run.
+        frames: numbers of the frames to update, (F,).
+        commands: commands of these frames by the map, (F, C); the step starts there.
+        turn: rotation of all shapes about the axis of the base, rad.
     """
     command, covariance, observed = (
         matches.command.copy(),
@@ -153,9 +164,10 @@ def linearised(
 
 
 def weighted(model: Model, run: Run) -> tuple[Floats, Floats]:
-    """Return what a run shows of a model's points (K, N, 3), and each weight (K, N), 1/mm².
+    """Return the points that a run shows of a model, and their weights.
 
-    Points are 0 where unseen.
+    Returns:
+        tuple[Floats, Floats]: points (K, N, 3) mm, 0 where unseen, and weights (K, N), 1/mm².
     """
     points = np.asarray(model.points_in_mm(run), float)
     visible = known(run, points)
@@ -166,10 +178,7 @@ def weighted(model: Model, run: Run) -> tuple[Floats, Floats]:
 
 
 def _slack(observed: Mask, low: Floats, high: Floats) -> Floats:
-    """Return the covariance (K, C, C) of undetermined commands: that of their range.
-
-    Shapes do not determine them.
-    """
+    """Return the covariance (K, C, C) of undetermined commands: that of their range."""
     return np.asarray(
         np.einsum("kc,cd->kcd", ~observed * (high - low) ** 2 / 12.0, np.eye(len(low)))
     )
@@ -185,11 +194,15 @@ def _joined(parts: list[tuple[NDArray[np.intp], Matches]]) -> Matches:
 
 
 class Shapes:
-    """The shapes (n, N, 3) of a model at commands (n, C), as a run's points.
+    """The shapes (n, N, 3) mm of a model at commands (n, C), as the points of a run.
 
-    With their slopes, and turns about the body.
-
-    `turn` in rad about the axis of the base; 0 unless it was asked for.
+    Attributes:
+        family: the prior, in the orientation of the run.
+        carry: weights of a run's markers in the template; None for the model's own points.
+        count: number of points N.
+        member: section of each point, as a matrix of ones and zeros.
+        roll_seen: whether the run shows the roll of the body.
+        turn: rotation about the axis of the base, (3, 3); None without one.
     """
 
     turn: Floats | None = None
@@ -212,13 +225,13 @@ class Shapes:
         return points if self.turn is None else points @ self.turn.T
 
     def turned(self, angle: float) -> Shapes:
-        """Return the same shapes turned about the axis of the base by an angle in rad."""
+        """Return the same shapes rotated about the axis of the base by an angle in rad."""
         other = copy(self)
         other.turn = rotation(np.array([0.0, 0.0, angle])) if angle else None
         return other
 
     def slopes(self, u: Floats) -> Floats:
-        """Return the slopes (n, N, 3, C)."""
+        """Return the derivatives of the shapes by the commands, (n, N, 3, C)."""
         found = np.asarray(self.family.jacobian(np.ascontiguousarray(u))).reshape(
             len(u), -1, 3, u.shape[1]
         )
@@ -232,22 +245,23 @@ class Shapes:
         )
 
     def without_roll(self, moved: Floats, points: Floats, weight: Floats) -> Floats:
-        """Return displacements (n, N, 3, m) without the turn of each section.
+        """Return displacements (n, N, 3, m) without the rotation of each section about the body.
 
-        It is the turn of points (n, N, 3) that explains most.
+        It is the rotation of `points` (n, N, 3) that explains most of the displacement. If the run
+        shows the roll, nothing is removed.
         """
         return moved if self.roll_seen else without_roll(self.member, moved, points, weight)
 
 
 def _grid(low: Floats, high: Floats) -> Floats:
-    """Return commands (G, C) all over a range."""
+    """Return commands (G, C) that cover a range."""
     each = max(2, min(STEPS, int(MOST_SHAPES ** (1.0 / max(1, len(low))) + 1e-9)))
     axes = [np.linspace(a, b, each) for a, b in zip(low, high)]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(low))
 
 
 def _nearest(shapes: Floats, seen: Floats, visible: Mask) -> NDArray[np.intp]:
-    """Return which shape (G, N, 3) has the least mean absolute error per frame (K, N, 3)."""
+    """Return the shape (G, N, 3) with the smallest mean absolute error for each frame (K, N, 3)."""
     flat, each = (
         np.asarray(shapes.reshape(len(shapes), -1), np.float32),
         max(1, CHUNK // max(1, shapes.size)),
@@ -266,7 +280,7 @@ def _nearest(shapes: Floats, seen: Floats, visible: Mask) -> NDArray[np.intp]:
 def _refined(
     shapes: Shapes, seen: Floats, weight: Floats, u: Floats, low: Floats, high: Floats
 ) -> Floats:
-    """Return the best commands (k, C) within their range, from a start."""
+    """Return the best commands (k, C) within their range, from a start `u` (k, C)."""
     damping = np.full(len(u), 1e-3)
     points, left, cost = _left(shapes, seen, weight, u)
     for _ in range(ROUNDS):
@@ -295,9 +309,9 @@ def _refined(
 
 
 def _left(shapes: Shapes, seen: Floats, weight: Floats, u: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the shapes (k, N, 3) at commands, their errors, and weighted squares (k,).
+    """Return the shapes at commands, their errors, and the weighted squares of these.
 
-    The errors are against what was seen.
+    Their shapes are (k, N, 3), (k, N, 3) and (k,). The errors are measured minus predicted.
     """
     points = shapes(u)
     left = shapes.without_roll((seen - points)[..., None], points, weight)[..., 0]
@@ -309,7 +323,7 @@ def _squares(slopes: Floats, weight: Floats) -> Floats:
 
 
 def _inverse(bend: Floats) -> Floats:
-    """Return the inverses of matrices (k, C, C), of flat ones as good as there is."""
+    """Return the inverses of matrices (k, C, C), regularised for singular ones."""
     eye = np.eye(bend.shape[1])
     return np.asarray(
         np.linalg.inv(bend + 1e-6 * np.einsum("kcc->k", bend)[:, None, None] * eye + 1e-12 * eye)
@@ -319,11 +333,10 @@ def _inverse(bend: Floats) -> Floats:
 def _covariance(
     member: Floats, slopes: Floats, left: Floats, weight: Floats, known: bool
 ) -> Floats:
-    """Return the covariance (k, C, C) of independent noise, or of correlated errors.
+    """Return the covariance (k, C, C) of commands by independent noise or correlated errors.
 
-    The errors are those of sections that are off together.
-
-    `known`: the weights are those of a known noise.
+    The larger of the two is returned. Correlated errors are common to a section. `known` states
+    whether the weights are from a known noise.
     """
     inverse = _inverse(_squares(slopes, weight))
     cost = np.einsum("kn,knx,knx->k", weight, left, left, optimize=True)
@@ -337,7 +350,7 @@ def _covariance(
 
 
 def _observed(shapes: Shapes, grid: Floats, u: Floats, low: Floats, high: Floats) -> Mask:
-    """Return which commands (K, C) move the shape to both sides as usual for the channel."""
+    """Return which commands (K, C) move the shape as much as is usual, in both directions."""
     observed, some = np.ones(u.shape, bool), grid[:: max(1, len(grid) // USUAL)]
     for c, step in enumerate(np.diag(STEP * (high - low))):
 

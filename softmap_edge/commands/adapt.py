@@ -52,7 +52,7 @@ def adapt_arguments(parser: argparse.ArgumentParser) -> None:
     effects_argument(parser)
     bundle_arguments(parser)
     parser.add_argument(
-        "--html", metavar="FILE", help="write one self-contained page with pictures"
+        "--html", metavar="FILE.html", help="write one self-contained page with pictures"
     )
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from softmap_edge.commands.options import RecordOptions
 from softmap_edge.commands.output import check_file, check_no_run, next_command
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
@@ -276,36 +277,6 @@ def _limits(args: NextOptions, model: Model) -> Limits:
     return Limits.of(model.command_range, model.command_unit, args.fastest)
 
 
-@dataclass(frozen=True)
-class RecordOptions:
-    """Options of `softmap record`, as its parser declares them."""
-
-    commands: str
-    sim: bool
-    emulated: bool
-    rig: str | None
-    recover: str | None
-    camera: str | None
-    key: str | None
-    like: str | None
-    late: float | None
-    yes: bool
-    record: str | None
-    calibrated: str | None
-    virtual: bool
-    truth: str | None
-    bundle: str | None
-    effects: list[str]
-    trust_onnx: bool
-    finger: str | None
-    hide: list[str]
-    truth_from: str | None
-    seed: int | None
-    noise_seed: int
-    out: str
-    json: bool
-
-
 def record_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `softmap record`."""
     parser.add_argument("commands", metavar="CSV", help="a command file of `softmap next --out`")
@@ -359,7 +330,7 @@ def record_arguments(parser: argparse.ArgumentParser) -> None:
     )
     effects_argument(parser)
     parser.add_argument(
-        "--finger", metavar="TOML", help="the simulated finger; default: the built-in one"
+        "--finger", metavar="FILE.toml", help="the simulated finger; default: the built-in one"
     )
     hidden = parser.add_mutually_exclusive_group()
     hidden.add_argument(

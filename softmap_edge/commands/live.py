@@ -20,7 +20,7 @@ from softmap_edge.files.printable import printable, raw
 from softmap_edge.robot.control.follow import Following
 
 if TYPE_CHECKING:
-    from softmap_edge.commands.understand import CompareOptions
+    from softmap_edge.commands.options import CompareOptions
 
 LOOK = 0.25  # s between two reads of the recording
 LINES = 2.0  # s between two lines if the output is no terminal

@@ -139,7 +139,7 @@ def learn_arguments(parser: argparse.ArgumentParser) -> None:
         help="learn the static map alone, and leave all memory to `softmap diagnose`",
     )
     parser.add_argument(
-        "--robot", metavar="FILE", help="robot.toml: its tendons, for a rod that knows them"
+        "--robot", metavar="FILE.toml", help="robot.toml: its tendons, for a rod that knows them"
     )
     parser.add_argument(
         "--input",

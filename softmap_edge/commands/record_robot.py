@@ -41,12 +41,12 @@ from softmap_edge.robot.drive.pace import Pace, pace
 from softmap_edge.robot.drive.player import Player, merged
 from softmap_edge.robot.emulated.finger import LATE
 from softmap_edge.robot.link.frames import Seen
-from softmap_edge.robot.open import Bench, read_bench
+from softmap_edge.robot.open import DrivenRobot, read_driven_robot
 from softmap_edge.run.protocol import Protocol
 from softmap_edge.run.run import Run
 
 if TYPE_CHECKING:
-    from softmap_edge.commands.experiment import RecordOptions
+    from softmap_edge.commands.options import RecordOptions
 
 INTERRUPTED = 130
 LOOP = ".loop.mcap"  # suffix of the loop's recording next to the run, until the run is written
@@ -66,16 +66,16 @@ def record_on_robot(args: RecordOptions) -> int:
     file, seen_file = _left(args)
     ended: BaseException | None = None
     try:
-        with _cut_in_order(), _robot(args, model) as (bench, seen):
-            model = bench.model
-            paced = pace(made, bench.calibration, bench.limits["servos"])
+        with _cut_in_order(), _robot(args, model) as (driven, seen):
+            model = driven.model
+            paced = pace(made, driven.calibration, driven.limits["servos"])
             if not args.json:
                 print(_ahead(args, paced), file=sys.stderr)
             if args.calibrated:
                 save_bundle(model, args.calibrated)
             with Bar(args.json) as bar, Keeper(seen_file, behind, model) as keeper:
                 robot = Controller(
-                    bench.rig, bench.calibration, bench.limits, record=file, tell=to_stderr
+                    driven.rig, driven.calibration, driven.limits, record=file, tell=to_stderr
                 )
                 robot.at_terminal = True
                 key = EmergencyKey(robot, to_stderr)
@@ -276,21 +276,21 @@ def _checked(args: RecordOptions) -> None:
 
 
 @contextlib.contextmanager
-def _robot(args: RecordOptions, model: Model) -> Iterator[tuple[Bench, Seen]]:
+def _robot(args: RecordOptions, model: Model) -> Iterator[tuple[DrivenRobot, Seen]]:
     """Yield the robot and its camera."""
     if args.emulated:
         hidden = ",".join(args.hide)
-        with emulated(model, hidden, 1 if args.seed is None else args.seed) as bench:
-            assert bench.finger is not None
-            yield bench, bench.finger.seen
+        with emulated(model, hidden, 1 if args.seed is None else args.seed) as driven:
+            assert driven.finger is not None
+            yield driven, driven.finger.seen
         return
     if args.rig is None:
         raise SoftmapError("no robot is given; give --rig FILE.toml")
     announce_edited_limits(model)
-    bench = read_bench(args.rig, model)
+    driven = read_driven_robot(args.rig, model)
     with receiver(args, len(model.rest)) as camera:
         try:
-            yield bench, camera.seen
+            yield driven, camera.seen
         finally:
             if not args.json:
                 print(camera.summary(), file=sys.stderr)

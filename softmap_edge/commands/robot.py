@@ -18,8 +18,8 @@ from softmap_edge.model.servo_calibration import TICKS, TICKS_PER_MM, Calibratio
 from softmap_edge.robot.control.controller import Controller
 from softmap_edge.robot.control.emergency_key import EmergencyKey
 from softmap_edge.robot.drive.observations import seen_file
-from softmap_edge.robot.emulated.finger import emulated_bench, hidden_laws
-from softmap_edge.robot.open import Bench, read_bench
+from softmap_edge.robot.emulated.finger import emulated_robot, hidden_laws
+from softmap_edge.robot.open import DrivenRobot, read_driven_robot
 from softmap_edge.robot.servo.loop_limits import RATE
 
 HOME = 2048.0  # ticks: home of an emulated servo
@@ -93,7 +93,7 @@ def driven_model(args: DrivenOptions, model: Model) -> Model:
 @contextlib.contextmanager
 def emulated(
     model: Model, hidden: str = "", seed: int = 0, *, person: bool = False
-) -> Iterator[Bench]:
+) -> Iterator[DrivenRobot]:
     """Yield an emulated robot with the finger of `model` and injected effects.
 
     Args:
@@ -106,24 +106,24 @@ def emulated(
     calibration = model.calibration or plain_map(model)
     laws = hidden_laws([name for name in hidden.split(",") if name], model.channels, seed)
     pace: Literal["paced", "stepped"] = "paced" if person else "stepped"
-    with emulated_bench(model, calibration, laws, rate=RATE, seed=seed, time=pace) as (
+    with emulated_robot(model, calibration, laws, rate=RATE, seed=seed, time=pace) as (
         _,
         rig,
         limits,
         finger,
     ):
-        yield Bench(rig, limits, calibration, model, finger)
+        yield DrivenRobot(rig, limits, calibration, model, finger)
 
 
 @contextlib.contextmanager
-def bench_of(
+def driven_robot(
     rig: str | None,
     model: Model,
     hidden: str = "",
     seed: int | None = None,
     *,
     person: bool = False,
-) -> Iterator[Bench]:
+) -> Iterator[DrivenRobot]:
     """Yield the robot of `--rig`, or one emulated by `--hide` and `--seed`.
 
     Args:
@@ -135,10 +135,10 @@ def bench_of(
     """
     if rig:
         announce_edited_limits(model)
-        yield read_bench(rig, model)
+        yield read_driven_robot(rig, model)
         return
-    with emulated(model, hidden, seed or 0, person=person) as bench:
-        yield bench
+    with emulated(model, hidden, seed or 0, person=person) as driven:
+        yield driven
 
 
 def own_map(model: Model) -> Calibration:

@@ -11,7 +11,7 @@ from typing import Literal, get_args
 
 from softmap_edge.commands.output import to_stderr
 from softmap_edge.commands.own import load_own, open_model
-from softmap_edge.commands.robot import bench_of, check_driven, driven_arguments, driven_model
+from softmap_edge.commands.robot import check_driven, driven_arguments, driven_model, driven_robot
 from softmap_edge.errors import RecordingBroken, TeleopError
 from softmap_edge.files.atomic import Document
 from softmap_edge.robot.control.controller import Controller
@@ -190,17 +190,19 @@ def _drive(args: TeleopOptions) -> int:
             raise TeleopError(
                 "nothing can drive: no page, no terminal, no camera; leave --page none away"
             )
-        bench = stack.enter_context(bench_of(args.rig, whole, args.hide, args.seed, person=True))
-        model = driven_model(args, bench.model)
+        driven = stack.enter_context(
+            driven_robot(args.rig, whole, args.hide, args.seed, person=True)
+        )
+        model = driven_model(args, driven.model)
         kinematics = Kinematics(model, axes="xy" if args.tip else "xyz")
         aim: HandMapping = TipMapping(kinematics) if args.tip else DirectMapping(kinematics)
         # reported below, after the summary
         stack.enter_context(contextlib.suppress(RecordingBroken))
         robot = stack.enter_context(
             Controller(
-                bench.rig,
-                bench.calibration,
-                bench.limits,
+                driven.rig,
+                driven.calibration,
+                driven.limits,
                 kinematics=kinematics,
                 record=args.record,
                 tell=to_stderr,
@@ -210,7 +212,7 @@ def _drive(args: TeleopOptions) -> int:
         show: Callable[[DriveState], None] | None = None
         if page is not None:
             about = {"source": "hand" if by_hand else "knob"}
-            shown = PageState(model, aim, eyes, ShapePreview(model, bench.calibration), about)
+            shown = PageState(model, aim, eyes, ShapePreview(model, driven.calibration), about)
             page.shows(shown.hello, shown.view)
             show = shown.take
             to_stderr(f"open {page.url}")

@@ -17,10 +17,10 @@ from softmap_edge.commands.output import check_picture, next_command
 from softmap_edge.commands.own import load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.robot import (
-    bench_of,
     check_driven,
     driven_arguments,
     driven_model,
+    driven_robot,
     driving,
     plain_map,
 )
@@ -36,7 +36,7 @@ from softmap_edge.robot.emulated.finger import LATE, SERVO
 from softmap_edge.robot.link.frames import Seen
 from softmap_edge.robot.motion.figures import FIGURES, WIDEST
 from softmap_edge.robot.motion.kinematics import AXES, METHODS, Kinematics
-from softmap_edge.robot.open import Bench
+from softmap_edge.robot.open import DrivenRobot
 from softmap_edge.robot.servo.loop_limits import servo_limits
 from softmap_edge.run.folds import LEAST_WITHHOLDING
 from softmap_edge.synthetic.table_two import table_two, text_of
@@ -152,14 +152,14 @@ def track(args: TrackOptions) -> int:
         raise SoftmapError(
             "--alternative goes with --table, --reach with --workspace; give that too"
         )
-    driven = {
+    only_driving = {
         "--record": args.record,
         "--seed": args.seed,
         "--key": args.key,
         "--like": args.like,
         "--late": args.late,
     }
-    idle = [option for option, value in driven.items() if value is not None]
+    idle = [option for option, value in only_driving.items() if value is not None]
     if args.plan and idle:
         raise SoftmapError(
             f"{idle[0]} is of what is driven, and --plan drives nothing; leave one of them out"
@@ -173,19 +173,19 @@ def track(args: TrackOptions) -> int:
         return _workspace(args, Kinematics(driven_model(args, whole), axes=args.axes or "xyz"))
     tracked = kept = None
     with contextlib.ExitStack() as stack:
-        bench = (
+        driven = (
             None
             if args.plan
-            else stack.enter_context(bench_of(args.rig, whole, args.hide, args.seed))
+            else stack.enter_context(driven_robot(args.rig, whole, args.hide, args.seed))
         )
-        seen = None if bench is None else stack.enter_context(_eyes(args, bench))
-        calibration = bench.calibration if bench else whole.calibration or plain_map(whole)
+        seen = None if driven is None else stack.enter_context(_eyes(args, driven))
+        calibration = driven.calibration if driven else whole.calibration or plain_map(whole)
         kinematics = Kinematics(
-            driven_model(args, bench.model if bench else whole), axes=args.axes or "xy"
+            driven_model(args, driven.model if driven else whole), axes=args.axes or "xy"
         )
         limits = (
-            bench.limits["servos"]
-            if bench
+            driven.limits["servos"]
+            if driven
             else [servo_limits(SERVO, 0, (-1000.0, 1000.0))] * whole.channels
         )
         planned = course(
@@ -199,18 +199,18 @@ def track(args: TrackOptions) -> int:
             calibration=calibration,
             method=args.method or "exact",
         )
-        if bench is not None:
+        if driven is not None:
             record = Path(
                 args.record
                 or Path(stack.enter_context(tempfile.TemporaryDirectory())) / "track.mcap"
             )
             robot = Controller(
-                bench.rig, calibration, bench.limits, kinematics=kinematics, record=record
+                driven.rig, calibration, driven.limits, kinematics=kinematics, record=record
             )
             with (
                 _shown_first(lambda: tracked),
                 driving(robot, args.record),
-                _kept(args, seen, behind, bench) as kept,
+                _kept(args, seen, behind, driven) as kept,
                 Bar(args.json) as bar,
             ):
                 tracked = follow(
@@ -224,14 +224,14 @@ def track(args: TrackOptions) -> int:
                 )
     if args.picture:
         _draw(args.picture, kinematics, planned, tracked)
-    sound = bench is not None and robot.unrecorded is None
+    sound = driven is not None and robot.unrecorded is None
     document = _document(args, kinematics, planned, tracked) | {
         "record": args.record if sound else None
     }
     seen_in = None if args.record is None else seen_file(args.record)
     document["seen"] = str(seen_in) if sound and kept is not None and kept.fault is None else None
     print(json.dumps(document) if args.json else _text(document))
-    if bench is not None:
+    if driven is not None:
         robot.check_recorded()
     if kept is not None and kept.fault is not None:
         raise SoftmapError(f"{seen_in}: what was seen is kept no more ({kept.fault}); see to that")
@@ -249,12 +249,12 @@ def _shown_first(done: Callable[[], Tracked | None]) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _eyes(args: TrackOptions, bench: Bench) -> Iterator[Seen | None]:
+def _eyes(args: TrackOptions, driven: DrivenRobot) -> Iterator[Seen | None]:
     """Yield the camera of the robot, if there is one."""
-    if bench.finger is not None or args.camera is None:
-        yield None if bench.finger is None else bench.finger.seen
+    if driven.finger is not None or args.camera is None:
+        yield None if driven.finger is None else driven.finger.seen
         return
-    with receiver(args, len(bench.model.rest)) as camera:
+    with receiver(args, len(driven.model.rest)) as camera:
         yield camera.seen
         if not camera.taken:
             print(f"no frame came at {args.camera}; {camera.summary()}", file=sys.stderr)
@@ -262,13 +262,13 @@ def _eyes(args: TrackOptions, bench: Bench) -> Iterator[Seen | None]:
 
 @contextlib.contextmanager
 def _kept(
-    args: TrackOptions, seen: Seen | None, behind: float, bench: Bench
+    args: TrackOptions, seen: Seen | None, behind: float, driven: DrivenRobot
 ) -> Iterator[Keeper | None]:
     """Store the frames next to the recording, if there is one."""
     if seen is None or args.record is None:
         yield None
         return
-    with keeping(args.record, seen, bench.model, behind) as keeper:
+    with keeping(args.record, seen, driven.model, behind) as keeper:
         yield keeper
 
 

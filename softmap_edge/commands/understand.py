@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from softmap_edge.commands.options import CompareOptions
 from softmap_edge.commands.output import (
     JsonOption,
     bundle_arguments,
@@ -41,24 +42,6 @@ NUMBERS = {
 }
 
 
-@dataclass(frozen=True)
-class CompareOptions:
-    """Options of `softmap compare`, as its parser declares them."""
-
-    run: str
-    live: bool
-    camera: str | None
-    key: str | None
-    like: str | None
-    late: float | None
-    seconds: float | None
-    bundle: list[str] | None
-    effects: list[str]
-    trust_onnx: bool
-    html: str | None
-    json: bool
-
-
 def compare_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `softmap compare`."""
     parser.add_argument(
@@ -80,7 +63,7 @@ def compare_arguments(parser: argparse.ArgumentParser) -> None:
     )
     effects_argument(parser)
     parser.add_argument(
-        "--html", metavar="FILE", help="write one self-contained page with pictures"
+        "--html", metavar="FILE.html", help="write one self-contained page with pictures"
     )
 
 
@@ -161,7 +144,7 @@ def diagnose_arguments(parser: argparse.ArgumentParser) -> None:
     )
     effects_argument(parser, "; NAME,NAME: test only these effects and those of the files")
     parser.add_argument(
-        "--html", metavar="FILE", help="write one self-contained page with pictures"
+        "--html", metavar="FILE.html", help="write one self-contained page with pictures"
     )
     parser.add_argument(
         "--out", metavar="FILE", help="write the diagnosis as JSON, for `softmap add --from`"
@@ -357,7 +340,7 @@ def refit_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument("--bundle", metavar="DIR", help="a model with effects: fit the effects again")
     what.add_argument(
         "--finger",
-        metavar="TOML",
+        metavar="FILE.toml",
         help="a finger.toml: fit the finger's own numbers ([fit] says which)",
     )
     effects_argument(parser)

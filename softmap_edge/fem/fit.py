@@ -179,21 +179,21 @@ def fit_finger(finger: Finger, run: Run, progress: Progress | None = None) -> Fi
         raise SoftmapError(
             f"{finger.name}: no [fit] table says which numbers may change; see the template's"
         )
-    bench = _Bench(finger, run, progress or (lambda what, share: None))
+    problem = _FitProblem(finger, run, progress or (lambda what, share: None))
     names, numbers = list(finger.fit), {}
-    alone = _descend(bench, [])
-    found = _descend(bench, names)
+    alone = _descend(problem, [])
+    found = _descend(problem, names)
     while (deviation := found.deviation[: len(names)]).max(initial=0.0) > SEEN:
         name = names.pop(int(np.argmax(deviation)))
         start = float(getattr(finger, name))
         numbers[name] = FingerNumber(
             start, None, UNITS[name], start, note="not identifiable with this run: kept as it was"
         )
-        found = _descend(bench, names)
-    new = bench.finger(names, found.x)
+        found = _descend(problem, names)
+    new = problem.finger(names, found.x)
     for i, name in enumerate(names):
         value, (low, high) = float(getattr(new, name)), finger.fit[name]
-        slope = bench.half(name) * (value if low > 0 else 1.0)
+        slope = problem.half(name) * (value if low > 0 else 1.0)
         numbers[name] = FingerNumber(
             value,
             float(found.deviation[i] * slope),
@@ -201,19 +201,19 @@ def fit_finger(finger: Finger, run: Run, progress: Progress | None = None) -> Fi
             float(getattr(finger, name)),
             at_bound=not low < value < high,
         )
-    kept = bench.kept_out
+    kept = problem.kept_out
     return FingerFit(
         finger=new,
         numbers={name: numbers[name] for name in finger.fit},
         mount=_mount_numbers(found.mount, found.deviation[len(names) :])
-        if bench.frame_is_free
+        if problem.frame_is_free
         else {},
         together=_together(names, found.covariance),
-        dwells=len(bench.fitted),
+        dwells=len(problem.fitted),
         kept_out=len(kept),
-        as_it_was_mm=bench.rms(kept, [], np.zeros(0), np.zeros(6)),
-        frame_fitted_mm=bench.rms(kept, [], np.zeros(0), alone.mount),
-        finger_fitted_mm=bench.rms(kept, names, found.x, found.mount),
+        as_it_was_mm=problem.rms(kept, [], np.zeros(0), np.zeros(6)),
+        frame_fitted_mm=problem.rms(kept, [], np.zeros(0), alone.mount),
+        finger_fitted_mm=problem.rms(kept, names, found.x, found.mount),
     )
 
 
@@ -289,7 +289,7 @@ def _spread(dwells: _Dwells) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return np.sort(np.array(order)[~out]), np.sort(np.array(order)[out])
 
 
-class _Bench:
+class _FitProblem:
     """A finger, the dwells of a run, and the simulator; solved shapes are cached."""
 
     def __init__(self, finger: Finger, run: Run, report: Progress) -> None:
@@ -421,33 +421,34 @@ class _Found:
         return np.sqrt(np.diag(self.covariance))
 
 
-def _descend(bench: _Bench, names: Sequence[str]) -> _Found:
+def _descend(problem: _FitProblem, names: Sequence[str]) -> _Found:
     """Fit the parameters `names` and the frame to the dwells by damped Gauss-Newton.
 
     Clipping enforces the bounds.
     """
-    which, count = bench.fitted, len(names)
+    which, count = problem.fitted, len(names)
     low, high = (
-        np.array([bench.scaled(name, bench.start.fit[name][i]) for name in names]) for i in (0, 1)
+        np.array([problem.scaled(name, problem.start.fit[name][i]) for name in names])
+        for i in (0, 1)
     )
     low, high = np.r_[low, np.full(6, -np.inf)], np.r_[high, np.full(6, np.inf)]
-    prior = np.r_[np.ones(count), np.full(6, 1e-9 if bench.frame_is_free else 1e12)]
-    seen, y, damping = bench.dwells.points[which], np.zeros(count + 6), 1e-3
+    prior = np.r_[np.ones(count), np.full(6, 1e-9 if problem.frame_is_free else 1e12)]
+    seen, y, damping = problem.dwells.points[which], np.zeros(count + 6), 1e-3
 
     def residual(y: Floats) -> Floats:
-        shapes = bench.shapes(names, y[None, :count], which)[0]
-        return bench.features(seen - moved(shapes, y[count:]), which).reshape(len(which), -1)
+        shapes = problem.shapes(names, y[None, :count], which)[0]
+        return problem.features(seen - moved(shapes, y[count:]), which).reshape(len(which), -1)
 
     left = residual(y)
     for iteration in range(ITERATIONS):
-        bench.report(f"fit of {', '.join(names) or 'the frame'}", iteration / ITERATIONS)
+        problem.report(f"fit of {', '.join(names) or 'the frame'}", iteration / ITERATIONS)
         steps = np.r_[
             np.where(y[:count] + STEP > high[:count], -STEP, STEP),
             np.full(3, 1e-4),
             np.full(3, 1e-2),
         ]
         # all at once, on all cores
-        bench.shapes(names, y[:count] + np.diag(steps[:count]), which) if count else None
+        problem.shapes(names, y[:count] + np.diag(steps[:count]), which) if count else None
         slopes = np.stack(
             [(residual(y + row) - left) / -step for row, step in zip(np.diag(steps), steps)]
         )

@@ -1,16 +1,16 @@
 """Find the line through the middle of a body from its points alone.
 
-No mesh is needed; the body may have any orientation and may be bent at rest. The order along the
-body comes from distances over a graph of near neighbours, starting at the base. The line is the
-polynomial curve whose distances to the points are nearest to a smooth radius ρ(s), found by
-Gauss-Newton; the z axis or a curve of lower degree is taken if it fits as well. (A principal curve,
-which is merely near the points, winds along the surface of a tube.) The motion of the line in
-another shape of the same points is linear in them, by least squares of
+No mesh is needed. The body may have any orientation and may be bent at rest. The order of points
+along the body comes from distances over a graph of near neighbours, starting at the base. The line
+is a polynomial curve, found by Gauss-Newton: the one whose distances to the points are nearest to a
+smooth radius ρ(s). The z axis or a curve of lower degree is preferred if it fits nearly as well. (A
+principal curve is only near the points, so it winds along the surface of a tube.) In another shape
+of the same points, the line moves linearly with them, by least squares of
 
     p_i = c(s_i) + a(s_i) ρ_i cos φ_i + b(s_i) ρ_i sin φ_i
 
-with polynomials c, a, b along the body. So points that are unevenly distributed around it do not
-shift the line. Units: mm. Limits: the body must be at least some three radii long; fewer than eight
+with polynomials c, a, b along the body. So points that are unevenly distributed around the line do
+not shift it. Units: mm. Limits: the body must be at least some three radii long. Fewer than eight
 points are taken as the line itself, in sequence. Pinned by tests/geometry/test_centreline.py.
 """
 
@@ -42,12 +42,17 @@ ONE_PLACE = 1e-6  # mm; rounding moves points by less
 
 @dataclass(frozen=True, eq=False)
 class Centreline:
-    """Where N points lie along a body at rest, and the map from their shape to the line's stations.
+    """The centreline of a body at rest, and the linear map from its points to the line's stations.
 
-    `along` (N,) mm from the base, `angle` (N,) rad about the line (None: the points are the line),
-    `arc` (J + 1,) mm of the stations, base first; `weights` (J + 1, N) and `fixed` (J + 1,) of the
-    base give their places. `lean_deg` is the angle between z and the straight line from end to end,
-    `bow_mm` how far the line leaves that straight line.
+    Attributes:
+        base: place of the base, (3,) mm.
+        along: distance of each point from the base along the line, (N,) mm.
+        angle: angle of each point about the line, (N,) rad; None if the points are the line.
+        arc: arc length of the stations, base first, (J + 1,) mm.
+        weights: weight of each point in each station, (J + 1, N).
+        fixed: weight of the base in each station, (J + 1,).
+        lean_deg: angle between z and the chord from end to end, degrees.
+        bow_mm: largest distance of the line from that chord, mm.
     """
 
     base: Floats
@@ -71,7 +76,7 @@ class Centreline:
         )
 
     def body(self) -> BodyCoordinates | None:
-        """Return the sections of the body; None if its points are so few that each is a feature."""
+        """Return the sections of the body; None if it has so few points that each is a feature."""
         if len(self.along) <= MARKERS:
             return None
         for count in range(SECTIONS, 0, -1):
@@ -81,7 +86,7 @@ class Centreline:
         return BodyCoordinates(np.zeros(len(self.along), np.int64), self.along, None)
 
     def _seen(self, inside: NDArray[np.bool_]) -> bool:
-        """Whether a slice has points enough, and around the line, for its features."""
+        """Return whether a slice has enough points around the line for its features."""
         if self.angle is None:
             return bool(inside.any())
         around = np.stack([np.cos(self.angle[inside]), np.sin(self.angle[inside])])
@@ -93,7 +98,11 @@ class Centreline:
 
 
 def find_centreline(rest: Floats, base: Floats) -> Centreline:
-    """Find the line through points at `rest` (N, 3) mm of a body that is clamped at `base` (3,) mm.
+    """Find the line through the points of a body at rest.
+
+    Args:
+        rest: points of the body, (N, 3) mm.
+        base: place where it is clamped, (3,) mm.
 
     Raises:
         SoftmapError: the points do not begin at the base, or all lie in one place.
@@ -116,7 +125,7 @@ def find_centreline(rest: Floats, base: Floats) -> Centreline:
 
 
 def _chain(rest: Floats, base: Floats) -> Centreline:
-    """Take few points as the line itself, in the order in which they follow the base."""
+    """Return few points as the line itself, in their order from the base."""
     order, here, left = [], base, list(range(len(rest)))
     while left:
         order.append(min(left, key=lambda i: float(np.linalg.norm(rest[i] - here))))
@@ -170,7 +179,7 @@ def _cloud(rest: Floats, base: Floats) -> Centreline:
 
 
 def _posture(line: Floats) -> tuple[float, float]:
-    """Return the lean (degrees) of the chord from end to end against z, and the line's bow (mm)."""
+    """Return the angle (degrees) between z and the chord from end to end, and the bow (mm)."""
     chord = line[-1] - line[0]
     unit = chord / max(float(np.linalg.norm(chord)), 1e-300)
     off = line - line[0]
@@ -180,9 +189,10 @@ def _posture(line: Floats) -> tuple[float, float]:
 
 @dataclass(frozen=True, eq=False)
 class _Curve:
-    """A dense line with tangents, and where points (N, 3) mm project to it.
+    """A dense line with tangents, and the projections of points (N, 3) mm to it.
 
-    `along` (N,) is the distance from the base, `offset` (N, 3) the vector from the line.
+    `along` (N,) is their distance from the base, `offset` (N, 3) the vector from the line; both in
+    mm.
     """
 
     tangent: Floats  # (N, 3) at each point's foot
@@ -239,7 +249,7 @@ class _Curve:
 
 
 def _fitted(points: Floats, order: Floats, degree: int) -> Floats:
-    """Return the curve (degree + 1, 3) from which ordered points have the most even distances."""
+    """Return the curve (degree + 1, 3) with the most even distances to ordered points."""
     fit: Floats = np.asarray(
         np.linalg.lstsq(legendre.legvander(_unit(order), degree), points, rcond=None)[0], float
     )
@@ -291,7 +301,7 @@ def _unit(s: Floats) -> Floats:
 def _places(x: Floats, arc: Floats) -> Floats:
     """Return places (mm) along a line for arc parameters x in -1…1.
 
-    It goes on straight beyond its ends.
+    Beyond its ends, the line continues straight.
     """
     first, last = (
         (arc[1] - arc[0]) / (SAMPLES[1] - SAMPLES[0]),
@@ -307,7 +317,7 @@ def _places(x: Floats, arc: Floats) -> Floats:
 def _feet(fit: Floats, points: Floats) -> tuple[Floats, Floats]:
     """Return the nearest places (N, 3) of a curve to points (N, 3), and their x (N,).
 
-    The curve goes on straight beyond its ends.
+    Beyond its ends, the curve continues straight.
     """
     line = legendre.legval(SAMPLES, fit).T
     square = np.sum(points**2, axis=1)[:, None] - 2.0 * points @ line.T + np.sum(line**2, axis=1)
@@ -323,11 +333,14 @@ def _feet(fit: Floats, points: Floats) -> tuple[Floats, Floats]:
 
 
 def carried(tangents: Floats) -> Floats:
-    """Return frames (n, J, 3, 3) carried without twist along unit tangents (n, J, 3).
+    """Return frames that are carried without twist along a line.
 
-    Their columns are normal, binormal and tangent.
+    Args:
+        tangents: unit tangents of n lines, (n, J, 3).
 
-    The first normal is x where the tangent is z; for another tangent it is turned with it.
+    Returns:
+        Floats: rotation matrices (n, J, 3, 3) with the columns normal, binormal and tangent. The
+            first normal is x if the tangent is z; otherwise it is rotated with the tangent.
     """
     frames = np.empty((*tangents.shape, 3))
     frame = _turn(np.broadcast_to([0.0, 0.0, 1.0], tangents[:, 0].shape), tangents[:, 0])
@@ -339,7 +352,7 @@ def carried(tangents: Floats) -> Floats:
 
 
 def _turn(start: Floats, end: Floats) -> Floats:
-    """Return the smallest rotations (n, 3, 3) that turn unit vectors `start` into `end` (n, 3)."""
+    """Return the smallest rotations (n, 3, 3) from unit vectors `start` to `end` (n, 3)."""
     axis, cosine = np.cross(start, end), np.sum(start * end, axis=1)
     cross = np.zeros((len(start), 3, 3))
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
@@ -350,10 +363,7 @@ def _turn(start: Floats, end: Floats) -> Floats:
 
 
 def _order(points: Floats, base: Floats) -> Floats:
-    """Return each point's distance (N,) mm from those next to the base.
-
-    It is measured over a graph of near neighbours.
-    """
+    """Return the distance (N,) mm of points from the base, over a graph of neighbours."""
     apart = distances(points, points)
     near = np.argsort(apart, axis=1)[:, : NEIGHBOURS + 1]
     edges = np.full(apart.shape, np.inf)

@@ -1,15 +1,15 @@
 """Rigid transforms between corresponding points: least squares, robust fits, and uncertainty.
 
-    (R, t) = argmin Σ wₙ |R sₙ + t − qₙ|²      Kabsch 1976: SVD of Σ w (s − s̄)(q − q̄)ᵀ,
-                                               determinant put to +1
-    robust: start from the triple of points whose pose has the least median residual, then Tukey's
-        biweight
-    J = [−[q]×  I]  at q: what a small turn (rad) and shift (mm) of the target frame about its
-                    origin do to a point;
-    covariance (Jᵀ W J)⁻¹, the same six numbers, in the same frame, as the effect `mount`
+    (R, t) = argmin Σ wₙ |R sₙ + t − qₙ|²      Kabsch 1976: SVD of Σ w (s − s̄)(q − q̄)ᵀ with the
+                                               determinant set to +1
+    J = [−[q]×  I]                             effect of a small rotation (rad) and shift (mm) of
+                                               the target frame on a point q
+    (Jᵀ W J)⁻¹                                 covariance of these six numbers
 
-Units: mm, rad. Limits: three points cannot show an outlier; fewer than half of the points may be
-outliers. Pinned by tests/alignment/test_align.py.
+A robust fit starts from the triple of points whose pose has the smallest median residual, and
+continues with Tukey's biweight. The six numbers of the covariance are those of the effect `mount`,
+in the same frame. Units: mm, rad. Limits: three points cannot show an outlier; fewer than half of
+the points may be outliers. Pinned by tests/alignment/test_align.py.
 """
 
 from __future__ import annotations
@@ -34,9 +34,11 @@ NARROW = 0.2  # of the width of all points: outliers may not take the rest with 
 
 @dataclass(frozen=True, eq=False)
 class RigidPose:
-    """A rigid motion p = rotation · s + shift, for one set of points or for a batch (B, ...).
+    """A rigid motion p = rotation · s + shift, for one set of points or for a batch.
 
-    `rotation` is (3, 3), `shift` (3,) mm.
+    Attributes:
+        rotation: (3, 3), or (B, 3, 3).
+        shift: (3,) mm, or (B, 3) mm.
     """
 
     rotation: Floats
@@ -47,7 +49,7 @@ class RigidPose:
         return np.asarray(points @ np.swapaxes(self.rotation, -1, -2) + self.shift[..., None, :])
 
     def after(self, first: RigidPose) -> RigidPose:
-        """Return the pose that does `first`, then this one."""
+        """Return the pose that applies `first`, then this one."""
         turned = np.einsum("...ij,...j->...i", self.rotation, first.shift)
         return RigidPose(self.rotation @ first.rotation, turned + self.shift)
 
@@ -57,7 +59,7 @@ class RigidPose:
         return RigidPose(back, -np.einsum("...ij,...j->...i", back, self.shift))
 
     def vector(self) -> Floats:
-        """Return (..., 6): the rotation vector in rad and the shift in mm."""
+        """Return the rotation vector (rad) and the shift (mm), (..., 6)."""
         return np.concatenate([rotation_vector(self.rotation), self.shift], axis=-1)
 
 
@@ -70,9 +72,9 @@ def rotation(vector: Floats) -> Floats:
 
 
 def rotation_vector(matrix: Floats) -> Floats:
-    """Return the rotation vectors (..., 3) rad of rotations (..., 3, 3).
+    """Return the rotation vectors (..., 3) rad of rotation matrices (..., 3, 3).
 
-    By the quaternion, which is exact up to a half turn.
+    They are computed from quaternions, which are exact up to a half turn.
     """
     m = np.asarray(matrix, float)
     k = np.empty((*m.shape[:-2], 4, 4))
@@ -95,9 +97,12 @@ def rotation_vector(matrix: Floats) -> Floats:
 
 
 def kabsch(source: Floats, target: Floats, weight: Floats) -> RigidPose:
-    """Return the least-squares pose of `source` (..., N, 3) onto `target` (..., N, 3) mm.
+    """Return the weighted least-squares pose of one set of points onto another.
 
-    The weights are (..., N).
+    Args:
+        source: (..., N, 3) mm.
+        target: corresponding points, (..., N, 3) mm.
+        weight: (..., N).
     """
     share = (weight / np.maximum(weight.sum(axis=-1, keepdims=True), 1e-300))[..., None]
     from_, to = (share * source).sum(axis=-2), (share * target).sum(axis=-2)
@@ -112,11 +117,16 @@ def kabsch(source: Floats, target: Floats, weight: Floats) -> RigidPose:
 
 
 def robust(source: Floats, target: Floats, sigma: Floats, seen: Mask) -> tuple[RigidPose, Mask]:
-    """Return the pose of N corresponding points without outliers, and which points it is from.
+    """Return the pose of corresponding points without outliers.
 
     Args:
-        source, target: (N, 3) mm. sigma: (N,) mm, expected standard deviation of a coordinate.
-            seen: (N,).
+        source: (N, 3) mm.
+        target: corresponding points, (N, 3) mm.
+        sigma: expected standard deviation of a coordinate, (N,) mm.
+        seen: which points are known, (N,).
+
+    Returns:
+        tuple[RigidPose, Mask]: the pose, and the points (N,) that it is from.
     """
     scale = np.maximum(sigma, 1e-9)
     start = kabsch(source, target, np.where(seen, scale**-2, 0.0))
@@ -132,7 +142,7 @@ def robust(source: Floats, target: Floats, sigma: Floats, seen: Mask) -> tuple[R
 
 
 def _width(points: Floats) -> float:
-    """Return how far points (N, 3) mm spread across their longest direction, RMS mm."""
+    """Return the spread of points (N, 3) mm across their longest direction, RMS mm."""
     if len(points) < 2:
         return 0.0
     return float(
@@ -143,12 +153,19 @@ def _width(points: Floats) -> float:
 def refined(
     source: Floats, target: Floats, sigma: Floats, seen: Mask, start: RigidPose
 ) -> tuple[RigidPose, Floats]:
-    """Return each set's pose, refined from one near it, and its points' Tukey weights (B, N).
+    """Return the pose of each set of points, refined from a pose near all of them.
+
+    Sets of three points or fewer are used without weights.
 
     Args:
-        source: (B, N, 3) mm. target: (N, 3) or (B, N, 3) mm. sigma: (N,) or (B, N) mm. seen: (B,
-            N).
-        start: one pose. Sets of three points or fewer are taken as they are.
+        source: (B, N, 3) mm.
+        target: corresponding points, (N, 3) or (B, N, 3) mm.
+        sigma: expected standard deviation of a coordinate, (N,) or (B, N) mm.
+        seen: which points are known, (B, N).
+        start: one pose, near those of all sets.
+
+    Returns:
+        tuple[RigidPose, Floats]: the poses, and Tukey's weights of the points (B, N).
     """
     scale = np.broadcast_to(np.maximum(sigma, 1e-9), seen.shape)
     clean, aim = np.where(seen[..., None], source, 0.0), np.broadcast_to(target, source.shape)
@@ -173,16 +190,23 @@ def refined(
 
 
 def jacobian(points: Floats) -> Floats:
-    """Return (N, 3, 6): the effect of a small turn (rad) and shift (mm) on points (N, 3) mm."""
+    """Return the effect (N, 3, 6) of a small rotation (rad) and shift (mm) on points (N, 3) mm."""
     return np.concatenate(
         [-_cross(points), np.broadcast_to(np.eye(3), (len(points), 3, 3))], axis=-1
     )
 
 
 def gain(points: Floats, weight: Floats) -> Floats:
-    """Return (6, N, 3): the change of the weighted pose with target points (N, 3) mm.
+    """Return the change of the weighted pose per displacement of its target points.
 
-    The displacements are small.
+    It holds for small displacements.
+
+    Args:
+        points: (N, 3) mm.
+        weight: (N,).
+
+    Returns:
+        Floats: (6, N, 3), rotations first (rad per mm), then shifts (mm per mm).
     """
     j = jacobian(points)
     information = np.einsum("n,nci,ncj->ij", weight, j, j)
@@ -195,7 +219,7 @@ def gain(points: Floats, weight: Floats) -> Floats:
 
 
 def _best_start(s: Floats, q: Floats, scale: Floats, start: RigidPose) -> RigidPose:
-    """Return the pose of a triple of points, or of all of them, with the least median distance."""
+    """Return the pose with the smallest median distance: of a triple of points, or of all."""
     count = len(s)
     if count * (count - 1) * (count - 2) // 6 <= STARTS:
         triples = np.array(list(combinations(range(count), 3)))
@@ -216,7 +240,7 @@ def _best_start(s: Floats, q: Floats, scale: Floats, start: RigidPose) -> RigidP
 
 
 def _biweight(distance: Floats) -> Floats:
-    """Return Tukey's weights (B, N) of distances in standard deviations; NaN weighs nothing."""
+    """Return Tukey's weights (B, N) of distances in standard deviations; NaN has the weight 0."""
     known = np.isfinite(distance)
     rows = np.where(np.any(known, axis=1, keepdims=True), distance, 0.0)
     spread = np.maximum(np.nanmedian(rows, axis=1, keepdims=True) / MEDIAN_3D, 1.0)
@@ -225,7 +249,7 @@ def _biweight(distance: Floats) -> Floats:
 
 
 def _cross(v: Floats) -> Floats:
-    """Return (..., 3, 3): the matrices of v × ·."""
+    """Return the matrices (..., 3, 3) of v × · for vectors v (..., 3)."""
     zero = np.zeros(v.shape[:-1])
     x, y, z = v[..., 0], v[..., 1], v[..., 2]
     rows = [np.stack(row, axis=-1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))]

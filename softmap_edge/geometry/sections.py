@@ -1,10 +1,10 @@
 """Features of a shape for fits: centroid and first moments of each section, or the markers.
 
-A frame's features are V 3-vectors, linear in the points: `features = weights @ points`, so that
-noise maps exactly. Section s with points p_i at rest angle φ_i about the body's axis gives a
-centroid (1/n Σ p_i) and the directions 2/n Σ (cos φ_i − mean) p_i and 2/n Σ (sin φ_i − mean) p_i
-(mm: radius times the section's director). A place moves under translation; a direction (weights sum
-to zero) only rotates.
+A frame's features are V 3-vectors, linear in the points: `features = weights @ points`. So noise is
+mapped exactly. Section s with n points p_i at rest angles φ_i about the body's axis gives a
+centroid (1/n Σ p_i) and two directions, 2/n Σ (cos φ_i − mean) p_i and 2/n Σ (sin φ_i − mean) p_i,
+in mm (radius times the section's director). A place moves with a translation. A direction only
+rotates, because its weights sum to zero.
 """
 
 from __future__ import annotations
@@ -41,7 +41,10 @@ STALK = 0.25  # of the template's extent: a marker farther away is not on the ro
 class FeatureMap:
     """Linear map from points to features.
 
-    `weights` (V, N), `positions` (V,) bool, `section` (V,) int.
+    Attributes:
+        weights: (V, N).
+        positions: which features are places, (V,); the others are directions.
+        section: section of each feature, (V,).
     """
 
     weights: Floats
@@ -59,11 +62,13 @@ class FeatureMap:
 
 @dataclass(frozen=True, eq=False)
 class BodyCoordinates:
-    """How the points of a template lie along its body at rest, one entry a point.
+    """Coordinates of the points of a template along its body at rest.
 
-    `section` (N,) int, base first · `along` (N,) mm from the base · `angle` (N,) rad about the
-    centreline, None where the points lie on the centreline themselves, so that a section has a
-    place and no direction.
+    Attributes:
+        section: section of each point, base first, (N,).
+        along: distance from the base, (N,) mm.
+        angle: angle about the centreline, (N,) rad; None if the points lie on the centreline, so
+            that a section has a place and no direction.
     """
 
     section: NDArray[np.int64]
@@ -77,7 +82,7 @@ class BodyCoordinates:
 
 
 def upright(rest: Floats) -> BodyCoordinates:
-    """Return how vertices (N, 3) mm of a finger along z lie along it: slices of equal height."""
+    """Return the body coordinates of vertices (N, 3) mm of a finger along z: equal slices."""
     return BodyCoordinates(sections_of(rest), rest[:, 2], np.arctan2(rest[:, 1], rest[:, 0]))
 
 
@@ -87,13 +92,15 @@ def sections_of(rest: Floats, count: int = SECTIONS) -> NDArray[np.int64]:
 
 
 def slices(along: Floats, count: int) -> NDArray[np.int64]:
-    """Return which of `count` equal slices of the body each place `along` (N,) mm lies in."""
+    """Return which of `count` equal slices holds each place `along` (N,) mm; (N,)."""
     low, high = float(along.min()), float(along.max())
     return np.clip(((along - low) / (high - low + 1e-9) * count).astype(np.int64), 0, count - 1)
 
 
 def section_features(body: BodyCoordinates) -> FeatureMap:
-    """Return the centroids and, off the centreline, first moments of each section of a template.
+    """Return the map from the points of a template to the features of its sections.
+
+    They are centroids and, for points off the centreline, first moments.
 
     Raises:
         SoftmapError: a section holds no vertex.
@@ -118,16 +125,20 @@ def section_features(body: BodyCoordinates) -> FeatureMap:
 
 
 def marker_features(count: int) -> FeatureMap:
-    """Return the map for `count` markers: each is a feature of its own."""
+    """Return the map for `count` markers: each is a feature."""
     return FeatureMap(np.eye(count), np.ones(count, bool), np.arange(count))
 
 
 def other_unit(points: Floats, rest: Floats) -> tuple[float, str] | None:
-    """Return how many times too large points are, and the unit that explains it; None if in mm.
+    """Return the unit of points that are not in mm.
 
     Args:
-        points: (K, N, 3), NaN where one was not seen. rest: (N, 3) mm, the same points as they
-            should be, in any pose.
+        points: (K, N, 3); NaN where one was not seen.
+        rest: the same points in any pose, (N, 3) mm.
+
+    Returns:
+        tuple[float, str] | None: size of the points relative to `rest`, and the unit that explains
+            it; None if they are in mm.
     """
     usable = np.flatnonzero(np.isfinite(points).all(axis=(1, 2)))
     sample = points[usable[:: max(1, len(usable) // UNIT_FRAMES)]]
@@ -144,14 +155,22 @@ def other_unit(points: Floats, rest: Floats) -> tuple[float, str] | None:
 
 
 def attach(points: Floats, rest: Floats, names: Sequence[str] = ()) -> Floats:
-    """Return weights (M, N) that carry `points` (M, 3) mm with a template at `rest` (N, 3) mm.
+    """Return weights that carry points with a template.
 
-    Moving least squares, Gaussian about the point, as wide as `REACH` or as far as the template is:
-    reproduces every affine motion, so a point off the surface moves with the body around it, and
-    far enough that no weight exceeds one. Known limit: the body's strain is carried on outwards; at
-    60° of bend a point 8 mm off the surface is 0.7 mm off a rigid stalk, one 20 mm off 1.7 mm.
+    They are moving least squares with a Gaussian kernel about each point. The kernel is as wide as
+    `REACH`, or as the distance to the template. Every affine motion is reproduced, so a point off
+    the surface moves with the body around it. The width keeps each weight below one.
 
-    `names` of the points are for the message.
+    Limit: the strain of the body is continued outwards. At 60° of bend, a point 8 mm off the
+    surface is 0.7 mm away from its place on a rigid stalk, a point 20 mm off is 1.7 mm away.
+
+    Args:
+        points: (M, 3) mm.
+        rest: template at rest, (N, 3) mm.
+        names: names of the points, for the message.
+
+    Returns:
+        Floats: weights (M, N).
 
     Raises:
         SoftmapError: a point is farther from the template than a quarter of its extent.
@@ -183,13 +202,19 @@ def attach(points: Floats, rest: Floats, names: Sequence[str] = ()) -> Floats:
 
 
 def seen_residual(residual: Floats, body: BodyCoordinates, seen: NDArray[np.bool_]) -> Floats:
-    """Return section features (K, V, 3) mm of residuals (K, N, 3) mm.
+    """Return section features of residuals, from the points that were seen.
 
-    Only the vertices `seen` (K, N) are known.
+    They are least squares of the residual on (1, cos φ, sin φ), for each frame and section. A body
+    without angles has means instead.
 
-    Per frame and section, least squares of the residual on (1, cos φ, sin φ); a section with fewer
-    than six seen vertices, or with all of them on one side, is NaN. Bodies without a side have
-    means.
+    Args:
+        residual: (K, N, 3) mm.
+        body: coordinates of the points along the body.
+        seen: which points are known, (K, N).
+
+    Returns:
+        Floats: (K, V, 3) mm; NaN for a section with fewer than six seen points, or with all of them
+            on one side.
     """
     count, frames = body.count, len(residual)
     known = np.where(seen[..., None], residual, 0.0)
@@ -215,9 +240,9 @@ def seen_residual(residual: Floats, body: BodyCoordinates, seen: NDArray[np.bool
 
 
 def tip_of(vertices: Floats) -> NDArray[np.int64]:
-    """Return the tip's vertices: the 5 % that move most over a sweep (S, N, 3) mm.
+    """Return the vertices of the tip: the 5 % that move most over a sweep (S, N, 3) mm.
 
-    These are the highest if none move.
+    If none move, they are the highest ones.
     """
     movement = np.linalg.norm(vertices - vertices.mean(axis=0), axis=2).mean(axis=0)
     movement = movement if movement.max() > 1e-6 else vertices[0, :, 2]

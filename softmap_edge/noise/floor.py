@@ -1,20 +1,22 @@
 """The noise floor of a run: a point's distance from its mean while only the camera changes.
 
-1. frames of one dwell about its drift, and visits of one pose in other dwells for jitter of the
-   frame (`noise.py`): the same estimate as that of `check` and `diagnose`
-2. else what no command can make of the shape:    remainder beyond the manifold of the body's
-                                                  shapes (`shape_manifold.py`), or
-   settled frames of the same command:            sqrt(pooled variance), where the robot's memory
-                                                  counts as noise; the smaller of both
-3. else roughness of the residual over the body:  remainder of (1, x, y) times a polynomial of
-                                                  degree 5 in z in a frame
-4. else second differences of the residual:       sqrt(mean |r(k) - (r(k-1) + r(k+1))/2|² / 1.5), an
-                                                  upper bound
+The first method that the run allows is used:
 
-All in mm, over visible points, as a distance in space (root 3 times the noise of one coordinate).
-Known limits: 1 detects noise that stays constant through a dwell only where poses are visited
-again; 3 does not detect noise that moves the complete body; 4 counts motion that the model misses
-as noise. Pinned by tests/comparison/test_compare.py with known noise.
+1. Frames of one dwell about their drift, and for jitter of the frame also visits of one pose in
+   several dwells (`noise_model.py`). `check` and `diagnose` use the same estimate.
+2. What no command can make of the body's shape (`shape_manifold.py`), or settled frames of the same
+   command: the root of the pooled variance, where the memory of the robot counts as noise. The
+   smaller of both is taken.
+3. Roughness of the residual over the body: the remainder after (1, x, y) times a polynomial of
+   degree 5 in z, frame by frame.
+4. Second differences of the residual: sqrt(mean |r(k) - (r(k-1) + r(k+1))/2|² / 1.5), an upper
+   bound.
+
+All are in mm, over visible points, as a distance in space (√3 times the noise of one coordinate).
+
+Limits: method 1 detects noise that is constant in a dwell only if poses are visited again. Method 3
+does not detect noise that moves the complete body. Method 4 counts motion that the model misses as
+noise. Pinned by tests/comparison/test_compare.py with known noise.
 """
 
 from __future__ import annotations
@@ -45,16 +47,18 @@ BOUND = "an upper bound"  # suffix of the source of a floor that includes more t
 def noise_floor(
     state: Conditions, seen: Floats, visible: Mask, predicted: Floats, rest: Floats | None = None
 ) -> tuple[float | None, str]:
-    """Return the RMS distance of a seen point from its own mean, and the source of that estimate.
+    """Return the RMS distance of a seen point from its own mean, and the source of the estimate.
 
     Args:
         state: conditions of the K frames.
-        seen: (K, N, 3) mm. visible: (K, N). predicted: (K, N, 3) mm, for the estimates from the
-            residual.
-        rest: (N, 3) mm, the template at rest; None for markers.
+        seen: measured points, (K, N, 3) mm.
+        visible: which points were seen, (K, N).
+        predicted: predicted points, (K, N, 3) mm; used by the estimates from the residual.
+        rest: template at rest, (N, 3) mm; None for markers.
 
     Returns:
-        tuple: mm (None when no estimate is possible) and a sentence.
+        tuple[float | None, str]: the noise floor in mm (None if no estimate is possible), and a
+            sentence on its source.
     """
     repeated = replicates(state, seen, visible)
     if repeated is not None:
@@ -79,22 +83,27 @@ def noise_floor(
 
 
 def rms(squares: Floats) -> float:
-    """Return the root of the mean of squares; NaN of none."""
+    """Return the root mean square of `squares`; NaN if there are none."""
     return math.sqrt(float(np.mean(squares))) if len(squares) else math.nan
 
 
 @dataclass(frozen=True)
 class PointNoise:
-    """The noise of a point: `mm`, RMS distance from its own mean, and the `source` of the estimate."""
+    """The noise of a point.
+
+    Attributes:
+        mm: RMS distance from its own mean, mm.
+        source: how it was estimated, as a sentence.
+    """
 
     mm: float
     source: str
 
 
 def noise_of_points(run: Run) -> PointNoise | None:
-    """Return the noise of a run's points from its repeats, None without enough of them.
+    """Return the noise of a run's points from its repeats; None without enough of them.
 
-    `check` and `compare` report this number: it depends on the run alone.
+    It depends on the run alone. `check` and `compare` report this number.
     """
     seen, command = run.places, commanded(run)
     if seen is None or not command.shape[1] or not len(seen):
@@ -104,22 +113,31 @@ def noise_of_points(run: Run) -> PointNoise | None:
 
 
 def noise_of_runs(runs: Sequence[object]) -> list[float | None]:
-    """Return `noise_of_points` of each run (mm) for a diagnosis document; None if unknown."""
+    """Return `noise_of_points` of each run in mm, for a diagnosis document; None if unknown."""
     found = [noise_of_points(run) if isinstance(run, Run) else None for run in runs]
     return [None if one is None else one.mm for one in found]
 
 
 def commanded(run: Run) -> Floats:
-    """Return the commands (T, C), in the run's unit or in ticks.
+    """Return the commands (T, C) in the run's unit, or in ticks if it has no commands.
 
-    They are constant where encoders flicker.
+    Commands do not flicker like encoders do.
     """
     rows = run.command if run.command is not None else run.ticks
     return np.zeros((len(run.t), 0)) if rows is None else np.asarray(rows, float)
 
 
 def replicates(state: Conditions, seen: Floats, visible: Mask) -> PointNoise | None:
-    """Return the noise of points (K, N, 3) that should be equal; None without repeats."""
+    """Return the noise of points from repeats, or from what no command can make.
+
+    Args:
+        state: conditions of the K frames.
+        seen: measured points, (K, N, 3) mm.
+        visible: which points were seen, (K, N).
+
+    Returns:
+        PointNoise | None: None if the frames are too few for all methods.
+    """
     if len(seen) < 2:
         return None
     some = some_points(visible)
@@ -143,7 +161,7 @@ def replicates(state: Conditions, seen: Floats, visible: Mask) -> PointNoise | N
 
 
 def some_points(visible: Mask) -> NDArray[np.intp]:
-    """Return a sample of the points, spread evenly over those that are seen most."""
+    """Return a sample of the points, spread evenly over those that are seen most often."""
     often = np.flatnonzero(visible.sum(axis=0) >= 0.5 * visible.sum(axis=0).max(initial=0))
     return np.asarray(
         often[np.unique(np.linspace(0, len(often) - 1, min(len(often), POINTS)).astype(int))],
@@ -152,9 +170,16 @@ def some_points(visible: Mask) -> NDArray[np.intp]:
 
 
 def memoryless_floor(run: Run, state: Conditions, seen: Floats, visible: Mask) -> Repeats | None:
-    """Return the RMS scatter of points (K, N, 3) over repeated commands; None with too few repeats.
+    """Return the RMS scatter of points over repeated commands: the floor of all memoryless models.
 
-    This is the floor of every memoryless model on this run.
+    Args:
+        run: the run; its load separates the commands.
+        state: conditions of the K frames.
+        seen: measured points, (K, N, 3) mm.
+        visible: which points were seen, (K, N).
+
+    Returns:
+        Repeats | None: None if too few commands are repeated.
     """
     some = some_points(visible)
     values = np.where(visible[:, some, None], seen[:, some], np.nan).reshape(len(seen), -1)
@@ -163,7 +188,7 @@ def memoryless_floor(run: Run, state: Conditions, seen: Floats, visible: Mask) -
 
 
 def _roughness(residual: Floats, visible: Mask, rest: Floats) -> float | None:
-    """RMS of the residual about a smooth field, in the frames that are seen completely."""
+    """Return the RMS of a residual about a smooth field, in frames that show all points."""
     frames = visible.all(axis=1)
     z = 2.0 * (rest[:, 2] - rest[:, 2].min()) / max(float(np.ptp(rest[:, 2])), 1e-9) - 1.0
     across = np.column_stack([np.ones(len(rest)), rest[:, 0] / 10.0, rest[:, 1] / 10.0])
@@ -179,7 +204,7 @@ def _roughness(residual: Floats, visible: Mask, rest: Floats) -> float | None:
 
 
 def _replicates(state: Conditions, settled: Mask) -> list[NDArray[np.int64]]:
-    """Groups of settled frames that share their command."""
+    """Return groups of settled frames that share their command."""
     top = float(np.max(np.abs(state.command), initial=0.0))
     index = np.flatnonzero(settled)
     if len(index) == 0:
@@ -194,7 +219,7 @@ def _replicates(state: Conditions, settled: Mask) -> list[NDArray[np.int64]]:
 def _within(groups: list[NDArray[np.int64]], seen: Floats, visible: Mask) -> float | None:
     """Return the pooled RMS deviation of points from their group's mean.
 
-    One degree of freedom is taken off.
+    Each mean takes one degree of freedom.
     """
     total, freedom = 0.0, 0
     for group in groups:

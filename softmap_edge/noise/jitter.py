@@ -1,18 +1,22 @@
 """Jitter of the frame of reference with a memory, estimated between visits of one pose.
 
     y = q(pose) + trend(t) + J(t) + e  six rigid coordinates of a settled frame, about the base
-    J: Ornstein-Uhlenbeck, one memory τ, covariance (6, 6)
-    e: white, from the part that no rigid motion explains
-    trend: 1, t, t² of each run: a smooth trend over the run is drift or creep, not jitter
+    J: Ornstein-Uhlenbeck process, one memory τ, covariance (6, 6)
+    e: white noise, estimated from the part that no rigid motion explains
+    trend: 1, t, t² of each run
 
-The coordinates are fitted together with the tangents of the body's shapes (`shape_manifold.py`), so
-effects on the drive such as play and creep cancel. Memory and variances maximise the likelihood in
-the eigenbasis of the detrended correlation (Lindstrom & Bates 1988,
-doi:10.1080/01621459.1988.10478693): one variance for rotations and one for shifts, equal in all
-directions, and one more for each axis that clearly differs. Units: mm, rad, s. Limits: jitter is
-not detected without revisited poses, or with so few features that none is left next to rigid motion
-and the tangents; a memory longer than an eighth of the run is a trend. Pinned by
-tests/noise/test_jitter.py with jitter of known covariance and memory.
+A smooth trend over the run is drift or creep, not jitter. The coordinates are fitted together with
+the tangents of the body's shapes (`shape_manifold.py`). So effects on the drive, such as play and
+creep, cancel.
+
+Memory and variances maximise the likelihood in the eigenbasis of the detrended correlation
+(Lindstrom & Bates 1988, doi:10.1080/01621459.1988.10478693). Rotations share one variance and
+shifts another, equal in all directions. An axis gets a variance of its own only if it clearly
+differs. Units: mm, rad, s.
+
+Limits: jitter is not detected without revisited poses, or with so few features that none is left
+next to rigid motion and the tangents. A memory longer than an eighth of the run counts as a trend.
+Pinned by tests/noise/test_jitter.py with jitter of known covariance and memory.
 """
 
 from __future__ import annotations
@@ -56,11 +60,12 @@ DEGREE, MANY = 3, 3  # of the smooth map, and the channels above which it has no
 
 @dataclass(frozen=True)
 class Jitter:
-    """Rigid jitter of the frame: covariance (6, 6), and its memory s.
+    """Rigid jitter of the frame of reference.
 
-    It is of turns (rad) and shifts (mm) about the base.
-
-    `revisits` is the number of visits, beyond the first of each pose, that show it.
+    Attributes:
+        covariance: of rotations (rad) and shifts (mm) about the base, (6, 6).
+        memory_s: correlation time, s; 0 if each frame has new jitter.
+        revisits: number of visits beyond the first of each pose; they show the jitter.
     """
 
     covariance: Floats
@@ -68,9 +73,14 @@ class Jitter:
     revisits: int
 
     def of_features(self, features: Floats, positions: Mask) -> Floats:
-        """Return its mean covariance (F, F) mm² over features (K, F) mm.
+        """Return the mean covariance of the features by this jitter.
 
-        `positions` (V,) are places.
+        Args:
+            features: measured features, (K, F) mm.
+            positions: which features are places, (V,).
+
+        Returns:
+            Floats: covariance (F, F) mm², averaged over the frames.
         """
         columns = rigid(features, positions)  # (K, F, 6)
         flat = np.swapaxes(columns, 0, 1).reshape(features.shape[1], -1)
@@ -80,10 +90,12 @@ class Jitter:
 
 @dataclass(frozen=True)
 class Coordinates:
-    """Coordinates (n, m) of frames: six rigid ones, and those along the commanded modes.
+    """Coordinates of frames: six rigid ones, and one for each commanded mode.
 
-    `white` (n, m, m) is their covariance by white noise, `columns` (n, F, m) the derivative of the
-    features.
+    Attributes:
+        values: coordinates, (n, m).
+        white: their covariance by white noise, (n, m, m).
+        columns: derivative of the features by the coordinates, (n, F, m).
     """
 
     values: Floats
@@ -92,7 +104,7 @@ class Coordinates:
 
     @property
     def rigid(self) -> Floats:
-        """Turns (rad) and shifts (mm), (n, 6)."""
+        """Rotations (rad) and shifts (mm), (n, 6)."""
         return self.values[:, :RIGID]
 
     @property
@@ -102,16 +114,21 @@ class Coordinates:
 
     @property
     def explained(self) -> Floats:
-        """The displacement of the features by all coordinates, (n, F) mm."""
+        """Displacement of the features by all coordinates, (n, F) mm."""
         return np.asarray((self.columns @ self.values[:, :, None])[:, :, 0])
 
 
 def rigid(features: Floats, positions: Mask) -> Floats:
-    """Return derivatives (K, F, 6) of features (K, F) mm by turns (rad) and shifts (mm).
+    """Return the derivatives of features by rotations (rad) and shifts (mm) about the base.
 
-    They are about the base.
+    A direction rotates with the frame and does not shift.
 
-    Directions turn with the frame and do not shift.
+    Args:
+        features: (K, F) mm.
+        positions: which features are places, (V,); the others are directions.
+
+    Returns:
+        Floats: derivatives (K, F, 6), rotations first.
     """
     vectors = features.reshape(len(features), -1, 3)
     out = np.zeros((*vectors.shape, RIGID))
@@ -124,7 +141,16 @@ def rigid(features: Floats, positions: Mask) -> Floats:
 
 
 def commanded_modes(seen: Floats, command: Floats, most: int = COMMANDED) -> Floats:
-    """Return orthonormal modes (b, F) of a smooth map from commands (K, C) to features (K, F)."""
+    """Return orthonormal modes of a smooth map from commands to features.
+
+    Args:
+        seen: measured features, (K, F) mm; NaN where unseen.
+        command: (K, C).
+        most: largest number of modes.
+
+    Returns:
+        Floats: modes (b, F); none if too few frames determine the map.
+    """
     columns = polynomial(command)
     if columns.shape[1] < 2 or len(seen) < 2 * columns.shape[1]:
         return np.zeros((0, seen.shape[1]))
@@ -141,9 +167,9 @@ def in_all(modes: Floats) -> Along:
 
 
 def polynomial(command: Floats) -> Floats:
-    """Return the monomials (K, m) of commands (K, C) scaled to ±1, up to cubic.
+    """Return the monomials (K, m) of commands (K, C), up to cubic.
 
-    For many channels they are without products.
+    The commands are scaled to ±1. Above `MANY` channels there are no products of channels.
     """
     span = np.ptp(command, axis=0) if len(command) else np.zeros(command.shape[1])
     x = command[:, span > 0]
@@ -162,14 +188,17 @@ def polynomial(command: Floats) -> Floats:
 def coordinates(
     values: Floats, seen: Floats, positions: Mask, along: Floats, white: Floats
 ) -> Coordinates:
-    """Return the coordinates of values (n, F) of frames whose features are `seen` (n, F).
+    """Return the coordinates of frames by weighted least squares.
 
     Args:
-        values: deviations (n, F), mm; NaN counts for nothing.
-        seen: features (n, F), mm, all finite; they give the displacement by a turn.
-        positions: (V,), which features are places.
-        along: (n, F, b), motions that commands cause: tangents of each frame, or modes of all.
-        white: variance (F,) mm² that weights the features.
+        values: deviations, (n, F) mm; NaN is ignored.
+        seen: measured features, (n, F) mm, all finite; they give the displacement by a rotation.
+        positions: which features are places, (V,).
+        along: motions that commands cause, (n, F, b): tangents of each frame, or modes of all.
+        white: variance of the features, (F,) mm²; its inverse is the weight.
+
+    Returns:
+        Coordinates: six rigid coordinates and b commanded ones for each frame.
     """
     columns = np.concatenate([rigid(seen, positions), along], axis=2)  # (n, F, 6 + b)
     scale = np.maximum(np.sqrt(np.mean(columns**2, axis=(0, 1))), 1e-12)
@@ -186,11 +215,17 @@ def coordinates(
 def white_variance(
     values: Floats, seen: Floats, positions: Mask, along: Along, dwell: Ints
 ) -> Floats | None:
-    """Return the unexplained variance (F,) mm² of values (K, F) in dwells.
+    """Return the variance in dwells that neither rigid motion nor commands explain.
 
-    Neither rigid motion nor commands explain it.
+    Args:
+        values: (K, F) mm.
+        seen: measured features, (K, F) mm.
+        positions: which features are places, (V,).
+        along: motions that commands cause, at given frames.
+        dwell: number of the dwell of each frame, (K,); -1 outside dwells.
 
-    Return None if too few features or frames remain to show it.
+    Returns:
+        Floats | None: variance (F,) mm²; None if too few features or frames remain to show it.
     """
     left = values.shape[1] - RIGID - along(np.arange(1)).shape[2]
     if left < SPARE:
@@ -219,18 +254,19 @@ def frame_jitter(
     along: Along,
     white: Floats,
 ) -> Jitter | None:
-    """Estimate the jitter of the frame between visits of the same poses; None if none.
-
-    The run then does not show any.
+    """Estimate the jitter of the frame between visits of the same poses.
 
     Args:
         values: features minus the shapes that commands make (`shape_manifold.py`), (K, F) mm.
-        seen: features (K, F) mm.
-        positions: (V,), which features are places.
+        seen: measured features, (K, F) mm.
+        positions: which features are places, (V,).
         state: conditions of the frames.
-        dwell: (K,) number of the dwell, -1 outside dwells.
-        along: the tangents of these shapes at frames.
+        dwell: number of the dwell of each frame, (K,); -1 outside dwells.
+        along: the tangents of these shapes.
         white: variance (F,) mm², from `white_variance`.
+
+    Returns:
+        Jitter | None: None if the run shows no jitter, or revisits too few poses to show it.
     """
     groups = poses(state, dwell)
     revisits = sum(len(pose) - 1 for pose in groups)
@@ -263,7 +299,7 @@ def frame_jitter(
 def _root(noise: Floats, shapes: Floats) -> Floats:
     """Return the Cholesky factor of the white covariance (6, 6).
 
-    It also exists where a turn is not seen: markers on one line.
+    It also exists if the points do not show a rotation, as with markers on one line.
     """
     radius = float(np.sqrt(np.mean(shapes**2)))
     scale = np.r_[np.full(3, radius), np.ones(3)]
@@ -274,7 +310,7 @@ def _root(noise: Floats, shapes: Floats) -> Floats:
 
 
 def _thinned(groups: Sequence[Sequence[NDArray[np.intp]]]) -> tuple[NDArray[np.intp], Ints]:
-    """Return the frames of all visits, thinned to FRAMES of them, and the pose of each."""
+    """Return the frames of all visits, thinned to FRAMES, and the number of the pose of each."""
     rows = np.concatenate([np.concatenate(list(pose)) for pose in groups])
     which = np.concatenate([np.full(sum(map(len, pose)), i) for i, pose in enumerate(groups)])
     order = np.argsort(rows)
@@ -283,9 +319,9 @@ def _thinned(groups: Sequence[Sequence[NDArray[np.intp]]]) -> tuple[NDArray[np.i
 
 
 def _about(values: Floats, pose: Ints) -> tuple[Floats, Floats]:
-    """Return values (n, F) about their pose's mean, NaN if unseen, and the means (n, F).
+    """Return values (n, F) about the mean of their pose, and these means (n, F).
 
-    The means are all finite.
+    Unseen values are NaN; the means are all finite.
     """
     known = np.isfinite(values)
     each = [
@@ -302,9 +338,9 @@ def _each(pose: Ints) -> list[Mask]:
 
 
 def _detrending(t: Floats, pose: Ints, run: Ints) -> Floats:
-    """Return an orthonormal basis (n, m) without pose means and slow drifts.
+    """Return an orthonormal basis (n, m) of all that is neither a pose mean nor a slow drift.
 
-    It is the complement of all pose means and of each run's quadratic in time.
+    It is the complement of the pose means and of a quadratic in time for each run.
     """
     columns = [(pose == p).astype(float) for p in np.unique(pose)]
     for one in np.unique(run):
@@ -323,13 +359,12 @@ def _memories(t: Floats, run: Ints) -> list[float]:
 def _likelihood(
     y: Floats, free: Floats, t: Floats, run: Ints, tau: float, parts: Floats
 ) -> tuple[float, Floats]:
-    """Return the gain in log-likelihood of y (m, 6) with a memory, and the variance (6,).
+    """Return the gain in log-likelihood of y (m, 6) with memory `tau`, and the variances (6,).
 
-    The gain is over white noise, the variance that of each axis.
-
-    An axis has the variance of jitter that is alike in all directions, with `parts` (6, 2) of turns
-    and of shifts. It gets its own variance only if that is clearly more likely: alone, an axis that
-    is badly seen would often be nothing or all noise.
+    The gain is relative to white noise. By default an axis has the variance of jitter that is equal
+    in all directions; `parts` (6, 2) are the shares of rotations and shifts in each axis. An axis
+    gets a variance of its own only if that is clearly more likely. Otherwise a poorly visible axis
+    would often get no variance, or all of the noise.
     """
     between = np.abs(t[:, None] - t[None, :])
     apart = np.exp(-between / tau) * (run[:, None] == run[None, :]) if tau else np.eye(len(t))
@@ -348,9 +383,9 @@ def _likelihood(
 
 
 def _alike(gain: Floats, parts: Floats) -> Floats:
-    """Return the variances (6,) of jitter equal in all directions, from gains (s, 6).
+    """Return the variances (6,) of jitter that is equal in all directions.
 
-    The gains are those of SIZES.
+    `gain` (s, 6) is the gain in log-likelihood for each of SIZES; `parts` is as in `_likelihood`.
     """
     # the largest share of turns, or of shifts, in an axis
     unit = np.maximum(parts.max(axis=0), 1e-300)

@@ -1,12 +1,12 @@
 """The floor of every memoryless model: scatter of one pose over repeats of the same command.
 
-    σ² = between passages of a cell + within passages      one-way analysis of variance, pooled over
-                                                           the cells
+    σ² = between passages of a cell + within passages    one-way analysis of variance, pooled over
+                                                         the cells
 
 A cell holds the frames of one command (within CELL of its range), orientation, load and
-temperature. A passage is an uninterrupted stay in it. A smooth map of the commands is subtracted
-inside a cell first, so that the width of a cell does not count. Units: mm, °C, g. Limit: commands
-of many channels that never repeat show nothing. Pinned by tests/noise/test_memoryless.py.
+temperature. A passage is an uninterrupted stay in a cell. A smooth map of the commands is
+subtracted inside each cell first, so the width of a cell does not count. Units: mm, °C, g. Limit:
+commands of many channels that never repeat show nothing. Pinned by tests/noise/test_memoryless.py.
 """
 
 from __future__ import annotations
@@ -32,9 +32,13 @@ ENOUGH = 8  # passages beyond the first of each cell
 
 @dataclass(frozen=True)
 class Repeats:
-    """Scatter of repeated poses: variance (F,) mm² within a pose, and counts.
+    """Scatter of repeated poses.
 
-    The counts are of poses and passages; with their frames (n,).
+    Attributes:
+        variance: of one frame within a pose, (F,) mm².
+        poses: number of poses.
+        passages: number of passages through them.
+        rows: the frames of these passages, (n,).
     """
 
     variance: Floats
@@ -44,17 +48,20 @@ class Repeats:
 
     @property
     def mm(self) -> float:
-        """RMS distance in mm, of features that are all places."""
+        """RMS distance in mm, if all features are places."""
         return float(np.sqrt(np.nanmean(self.variance.reshape(-1, 3).sum(axis=1))))
 
 
 def repeats_of(values: Floats, state: Conditions, load: Floats | None = None) -> Repeats | None:
-    """Return the scatter of repeated poses; None where too few commands are repeated.
+    """Return the scatter of repeated poses.
 
     Args:
-        values: (K, F) mm, NaN where unseen.
+        values: (K, F) mm; NaN where unseen.
         state: conditions of the frames.
-        load: (K,) g, where one is declared.
+        load: declared load of each frame, (K,) g; None without a declaration.
+
+    Returns:
+        Repeats | None: None if too few commands are repeated.
     """
     if not len(values) or not state.command.shape[1]:
         return None
@@ -74,7 +81,7 @@ def repeats_of(values: Floats, state: Conditions, load: Floats | None = None) ->
 
 
 def _cells(state: Conditions, load: Floats | None) -> Ints:
-    """Return the cell (K,) of each frame."""
+    """Return the cell of each frame, (K,)."""
     span = np.ptp(state.command, axis=0)
     keys = [np.rint(state.command / np.where(span > 0, CELL * span, np.inf))]
     if state.gravity is not None:
@@ -90,7 +97,7 @@ def _cells(state: Conditions, load: Floats | None) -> Ints:
 
 
 def _variance(values: Floats, passage: Ints, cell: Ints) -> Floats:
-    """Return the variance (F,) of one frame within a pose: between passages and within them."""
+    """Return the variance (F,) of one frame in a pose: between passages plus within them."""
     _, p = np.unique(passage, return_inverse=True)
     owner = np.zeros(p.max() + 1, np.int64)
     owner[p] = np.unique(cell, return_inverse=True)[1].reshape(-1)
@@ -111,7 +118,7 @@ def _variance(values: Floats, passage: Ints, cell: Ints) -> Floats:
 
 
 def _sums(values: Floats, group: Ints) -> Floats:
-    """Return the sums (G, F) of values (n, F) over their groups (n,)."""
+    """Return the sums (G, F) of values (n, F) over the groups (n,)."""
     out = np.zeros((int(group.max()) + 1, values.shape[1]))
     np.add.at(out, group, values)
     return out

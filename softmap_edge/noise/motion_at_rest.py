@@ -1,14 +1,16 @@
-"""Motion of the body while its commands stand: a hum with one frequency, or fast irregular motion.
+"""Motion of the body while its commands are constant: a hum of one frequency, or irregular motion.
 
     s(t) = c(dwell) + d(dwell) t + a cos 2πft + b sin 2πft + e
         score of a frame along a mode of commanded motion
 
-A line is one frequency with one phase over all dwells. It explains the share P of the variance in
-dwells after their drift is subtracted. Noise reaches P with probability (1 − P)^((n − 3)/2) for
-each mode and frequency (Scargle 1982, doi:10.1086/160554). Irregular motion is scatter along the
-commanded modes that is EXCESS times larger than isotropic noise would give there. Units: mm, s, Hz.
-Limits: with fewer than SPARE features besides modes and rigid motion only lines are found; motion
-slower than a dwell is not motion at rest. Pinned by tests/noise/test_motion_at_rest.py.
+A line is one frequency with one phase over all dwells. It explains the share P of the variance that
+remains in dwells after their drift is subtracted. Noise reaches P with probability (1 − P)^((n −
+3)/2) for each mode and frequency (Scargle 1982, doi:10.1086/160554). Motion is irregular if the
+scatter along the commanded modes is EXCESS times larger than isotropic noise would give there.
+Units: mm, s, Hz.
+
+Limits: with fewer than SPARE features besides modes and rigid motion, only lines are found. Motion
+slower than a dwell is not found. Pinned by tests/noise/test_motion_at_rest.py.
 """
 
 from __future__ import annotations
@@ -40,11 +42,13 @@ ENOUGH = 15  # degrees of freedom
 
 @dataclass(frozen=True)
 class MotionAtRest:
-    """Motion of the body while the commands stand.
+    """Motion of the body while the commands are constant.
 
-    `rms_mm` is over time and places. `frequency_hz` is that of a line, None where the motion is
-    irregular. `channels` (C,) is the RMS of the commands that would move the body in this way.
-    `dwells` is the number of dwells that show it.
+    Attributes:
+        rms_mm: size, RMS over time and places, mm.
+        frequency_hz: frequency of a line, Hz; None if the motion is irregular.
+        channels: RMS of the commands that would move the body in this way, one number a channel.
+        dwells: number of dwells that show it.
     """
 
     rms_mm: float
@@ -62,10 +66,12 @@ class MotionAtRest:
 
 @dataclass(frozen=True)
 class AtRest:
-    """The body's own motion in dwells.
+    """The motion at rest that was found in dwells, and the values without it.
 
-    `found` describes it, `values` (K, F) are the values without its lines, `irregular` is set if
-    there is any motion besides these.
+    Attributes:
+        values: the given values without the lines, (K, F) mm.
+        found: descriptions of the motion.
+        irregular: whether there is irregular motion, which stays in the values.
     """
 
     found: tuple[MotionAtRest, ...]
@@ -75,7 +81,7 @@ class AtRest:
 
 @dataclass(frozen=True)
 class _Scores:
-    """Scores (n, b) of the settled frames along commanded modes.
+    """Scores (n, b) of the settled frames along the commanded modes.
 
     They are detrended in each dwell, in units of their noise.
     """
@@ -96,20 +102,22 @@ def motion_at_rest(
     dwell: Ints,
     modes: Floats,
 ) -> AtRest:
-    """Find motion of the body along commanded modes while its commands stand.
+    """Find motion of the body along commanded modes while its commands are constant.
+
+    Nothing is found if the dwells are too few to show it, or if the commands would need more than
+    their complete range for such a motion.
 
     Args:
         values: features minus the prediction of a model, or the features themselves, (K, F) mm.
-        seen: features (K, F) mm.
-        positions: (V,), which features are places.
-        t: (K,) s.
+        seen: measured features, (K, F) mm.
+        positions: which features are places, (V,).
+        t: times of the frames, (K,) s.
         command: (K, C).
-        dwell: (K,) number of the dwell, -1 outside dwells.
+        dwell: number of the dwell of each frame, (K,); -1 outside dwells.
         modes: (b, F), from `commanded_modes`.
 
     Returns:
-        AtRest: nothing found where dwells are too few to show it, or where the commands would need
-            more than their complete range for such a motion.
+        AtRest: the motion found, and the values without it.
     """
     white = white_variance(values, seen, positions, in_all(modes), dwell)
     scores = _scores(values, seen, positions, modes, dwell, white)
@@ -189,10 +197,7 @@ def _wave(frequency: Floats, t: Floats) -> Floats:
 def _line(
     scores: _Scores, t: Floats, modes: Floats, positions: Mask
 ) -> tuple[float, Floats] | None:
-    """Return the frequency (Hz) of a line and its cosine and sine response (2, F) mm.
-
-    None without a line.
-    """
+    """Return the frequency (Hz) of a line, and its cosine and sine response (2, F) mm; or None."""
     ends = np.cumsum([len(d) for d in scores.dwells])
     kept = scores.dwells[: max(1, int(np.searchsorted(ends, FRAMES, side="right")))]
     count = int(ends[len(kept) - 1])
@@ -223,12 +228,12 @@ def _line(
 
 @lru_cache(maxsize=256)
 def _level(frames: int) -> Floats:
-    """Return the orthonormal line (n, 2) of each dwell: parabolas would absorb slow lines."""
+    """Return the orthonormal linear drift (n, 2) of a dwell; a parabola would absorb slow lines."""
     return np.asarray(np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, frames), 2))[0])
 
 
 def _levels(dwells: list[NDArray[np.intp]], count: int) -> Floats:
-    """Return the lines of all dwells, (n, 2 per dwell), orthonormal."""
+    """Return the linear drifts of all dwells, orthonormal, (n, 2 per dwell)."""
     out = np.zeros((count, 2 * len(dwells)))
     for d, rows in enumerate(dwells):
         out[rows, 2 * d : 2 * d + 2] = _level(len(rows))
@@ -242,8 +247,8 @@ def _detrended(columns: Floats, level: Floats) -> Floats:
 def _explained(frequency: Floats, t: Floats, values: Floats, level: Floats) -> Floats:
     """Return the squares (f, b) of values (n, b) that lines at frequencies (f,) explain.
 
-    None at a frequency of which the frames show too little: at half their rate, or slower than the
-    dwells are long.
+    It is 0 for frequencies that the frames hardly show: near half the frame rate, or with a period
+    longer than the dwells.
     """
     wave = _detrended(_wave(frequency, t).reshape(len(t), -1), level).reshape(len(t), -1, 2)
     gram = np.einsum("nfi,nfj->fij", wave, wave)
@@ -256,7 +261,7 @@ def _explained(frequency: Floats, t: Floats, values: Floats, level: Floats) -> F
 def _irregular(
     scores: _Scores, modes: Floats, positions: Mask, white: Floats
 ) -> tuple[float, Floats] | None:
-    """Return the size (mm RMS) and motions (b, F) mm of scatter above noise, or None."""
+    """Return the size (mm RMS) and the motions (b, F) mm of scatter above the noise, or None."""
     scaled = scores.values / scores.sigma
     more, axes = np.linalg.eigh(scaled.T @ scaled / scores.freedom - np.eye(len(modes)))
     moved = (np.sqrt(np.maximum(more, 0.0)) * axes).T * scores.sigma @ modes
@@ -267,7 +272,7 @@ def _irregular(
 
 
 def _rms_mm(squares: Floats, positions: Mask) -> float:
-    """Return the RMS distance over the places of mean squares (F,) mm²."""
+    """Return the RMS distance over the places, from mean squares (F,) mm²."""
     return float(np.sqrt(np.mean(squares.reshape(-1, 3)[positions].sum(axis=1))))
 
 

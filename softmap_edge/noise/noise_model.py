@@ -1,23 +1,26 @@
 """The noise model: camera noise, and the model error as a nuisance.
 
     C = Σ ⊗ I + G ⊗ K(u, u)          features × frames
-    Σ  noise covariance of a frame's features, from replicates (frames of one dwell), else from what
-       no command can make of the body's shape, else from the high-frequency part
-    G  model-form error of the model: its own held-out error per feature, correlated along the body
+    Σ  noise covariance of a frame's features: from replicates (frames of one dwell), else from
+       what no command can make of the body's shape, else from the high-frequency part of the run
+    G  model-form error: the model's own held-out error of each feature, correlated along the body
     K  squared-exponential kernel over the command, rank <= 64 (Nyström on farthest-point inducing
-       commands), times
-       1 + a·a' of two frames: a is the error that grows with the lean of the base, another one in
-       another orientation
+       commands), times 1 + a·a' for two frames; a is the part of the error that grows with the lean
+       of the base and differs between orientations
 
-Diagonalised: with Σ = L Lᵀ and spatial modes V (the span of the signatures), mode m has form
-variance s_m in units of noise, and C^(-1/2) = I + Q (diag(1/sqrt(1 + λ s_m)) - 1) Qᵀ over frames, K
-= Q diag(λ) Qᵀ. All is linear in the frames. Correlation in time is not filtered out. It inflates: n
-white numbers become n / inflation (AR(1): (1+ρ)/(1-ρ)). A jitter of the frame lasts longer than a
-dwell (`jitter.py`). Its six directions are inflated by 2τ times the frames a second, all others are
-not. Motion of the body while its commands stand is not noise (`motion_at_rest.py`). Units: mm, s.
-Known limits: modes share one kernel length (0.4 of the command range); jitter is detected only
-where poses are visited again. A rod's error is not smooth in six commands, so its repeatable part
-counts as noise correlated in time (`rod_noise`). Pinned by tests/noise/test_noise.py.
+C is diagonalised. With Σ = L Lᵀ and spatial modes V (the span of the signatures), mode m has form
+variance s_m in units of noise. Then C^(-1/2) = I + Q (diag(1/sqrt(1 + λ s_m)) - 1) Qᵀ over frames,
+K = Q diag(λ) Qᵀ. The cost is linear in the number of frames.
+
+Correlation in time is not filtered out; it is an inflation, by which n white numbers become n /
+inflation (AR(1): (1+ρ)/(1-ρ)). Jitter of the frame lasts longer than a dwell (`jitter.py`), so its
+six directions are inflated by 2τ times the frame rate, and the others are not. Motion of the body
+while its commands are constant is not noise (`motion_at_rest.py`). The error of a rod is not smooth
+in six commands, so its repeatable part counts as noise that is correlated in time (`rod_noise`).
+Units: mm, s.
+
+Limits: all modes share one kernel length (0.4 of the command range). Jitter is detected only if
+poses are visited again. Pinned by tests/noise/test_noise.py.
 """
 
 from __future__ import annotations
@@ -65,13 +68,19 @@ GEOMETRY = 300  # frames over which a jitter's covariance is averaged
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of one frame's features: covariance (F, F) mm², its source, and inflation.
+    """Noise of the features of one frame.
 
-    The inflation is by correlation in time.
-
-    `slow` (F, F) is the part of the covariance from a jitter of the frame with memory `memory_s`:
-    `slow_inflation` of its frames count as one. `moving` is the motion of the body while its
-    commands stand; it is not noise and not in the covariance.
+    Attributes:
+        covariance: (F, F) mm².
+        source: how it was estimated, as a phrase.
+        inflation: number of frames that count as one, because of correlation in time.
+        measured: whether it is measured, by dwells or by what no command can make; else a guess.
+        slow: the part of the covariance from a jitter of the frame, (F, F) mm²; None without
+            jitter.
+        memory_s: correlation time of that jitter, s.
+        slow_inflation: number of frames that count as one in the directions of the jitter.
+        moving: motion of the body while its commands are constant; it is not noise and not in the
+            covariance.
     """
 
     covariance: Floats
@@ -85,7 +94,7 @@ class Noise:
 
     @property
     def effective(self) -> Floats:
-        """The covariance (F, F) mm² of frames as if independent, apart from `inflation`."""
+        """Covariance (F, F) mm² of frames that count as independent, apart from `inflation`."""
         if self.slow is None:
             return self.covariance
         return self.covariance + max(0.0, self.slow_inflation / self.inflation - 1.0) * self.slow
@@ -96,22 +105,25 @@ class Noise:
         return float(np.trace(self.covariance))
 
     def rms_mm(self, positions: Mask) -> float:
-        """Return the RMS distance in mm that noise alone gives the places among V features."""
+        """Return the RMS distance (mm) by noise alone, of the places marked by `positions` (V,)."""
         variance = np.diag(self.covariance).reshape(-1, 3)[positions]
         return float(np.sqrt(variance.sum(axis=1).mean()))
 
 
 def estimate_noise(residual: Floats, t_seen: Floats, visit: NDArray[np.int64]) -> Noise:
-    """Estimate the noise of the features from frames that were taken while nothing moved.
+    """Estimate the noise of the features from frames taken while nothing moved.
 
     Args:
-        residual: measured minus predicted features (K, F) mm; NaN where nothing was seen.
-        t_seen: times (K,) s.
-        visit: which uninterrupted dwell each frame belongs to (K,), -1 while moving.
+        residual: measured minus predicted features, (K, F) mm; NaN where nothing was seen.
+        t_seen: times of the frames, (K,) s.
+        visit: number of the dwell of each frame, (K,); -1 while moving.
 
     Returns:
-        Noise: from replicates where they give at least 15 degrees of freedom, else from second
-        differences in time.
+        Noise: from replicates if they give at least 15 degrees of freedom, else from second
+            differences in time.
+
+    Raises:
+        SoftmapError: no replicates, and fewer than 5 frames.
     """
     found = dwell_scatter(residual, visit)
     if found.degrees >= ENOUGH:
@@ -154,9 +166,14 @@ def noise_off_shapes(seen: Floats, state: Conditions) -> Noise | None:
 def motion_left(
     residual: Floats, seen: Floats, positions: Mask, t_seen: Floats, state: Conditions
 ) -> AtRest:
-    """Return the body's motion at rest that remains in a residual (K, F) mm.
+    """Return the body's motion at rest that remains in a residual.
 
-    It is beyond the subtracted part; arguments as below.
+    Args:
+        residual: measured minus predicted features, (K, F) mm; NaN where unseen.
+        seen: measured features, (K, F) mm; NaN where unseen.
+        positions: which features are places, (V,).
+        t_seen: times of the frames, (K,) s.
+        state: conditions of the frames.
     """
     modes = commanded_modes(seen, state.command, _most_modes(residual.shape[1]))
     return motion_at_rest(
@@ -167,19 +184,22 @@ def motion_left(
 def measure_noise(
     residual: Floats, seen: Floats, positions: Mask, t_seen: Floats, state: Conditions
 ) -> Noise:
-    """Measure the noise of a run within dwells and between visits of one pose.
+    """Measure the noise of a run in dwells and between visits of one pose.
 
     Motion of the body at rest is left out.
 
     Args:
-        residual: measured minus predicted features (K, F) mm, NaN where unseen.
-        seen: measured features (K, F) mm, NaN where unseen.
-        positions: which features (V,) are places.
-        t_seen: (K,) s.
+        residual: measured minus predicted features, (K, F) mm; NaN where unseen.
+        seen: measured features, (K, F) mm; NaN where unseen.
+        positions: which features are places, (V,).
+        t_seen: times of the frames, (K,) s.
         state: conditions of the frames.
 
     Returns:
-        Noise: from `estimate_noise` if the run does not repeat itself.
+        Noise: as `estimate_noise` gives it if the run does not repeat itself.
+
+    Raises:
+        SoftmapError: no replicates, and fewer than 5 frames.
     """
     dwell = settled_dwells(state)
     plain = estimate_noise(residual, t_seen, dwell)
@@ -226,7 +246,7 @@ def _told(degrees: int) -> str:
 
 
 def _inflation(rho: float) -> float:
-    """Return how many frames count as one where neighbours correlate by `rho`."""
+    """Return how many frames count as one if neighbours correlate by `rho`."""
     rho = float(np.clip(rho, 0.0, 0.95))
     return (1 + rho) / (1 - rho) if rho > 0.15 else 1.0
 
@@ -236,7 +256,7 @@ def _spread(frames: int) -> NDArray[np.intp]:
 
 
 def _most_modes(features: int) -> int:
-    """Return how many commanded modes so many features show besides rigid motion and remainder."""
+    """Return how many commanded modes the features show besides rigid motion and a remainder."""
     return max(2, min(COMMANDED, features // 3 - 2))
 
 
@@ -248,9 +268,9 @@ def _white_scatter(
     white: Floats,
     dwell: NDArray[np.int64],
 ) -> Scatter:
-    """Return the scatter of dwells without jitter of the frame and without motion of the body.
+    """Return the scatter of dwells without jitter of the frame and motion of the body.
 
-    In the directions of both, the scatter is that of the white part alone.
+    In the directions of both, it is the scatter of the white part alone.
     """
     squares, degrees, lag = np.zeros((seen.shape[1],) * 2), 0, np.zeros(2)
     for frames in rows_of(dwell, LEAST_DWELL):
@@ -270,20 +290,21 @@ def _white_scatter(
 def rod_noise(
     residual: Floats, t_seen: Floats, form_error: Floats, measured: Noise, repeats: Repeats | None
 ) -> Noise:
-    """Return the noise of a model whose error (V, 3) mm is not smooth: both together.
+    """Return noise plus model error, for a model whose error is not smooth in its commands.
 
-    It is not smooth in its commands.
-
-    The correlation time of the model error comes from the residual: 1/e of its autocorrelation, by
-    linear interpolation.
+    The correlation time of the model error is that of the residual: the time at which its
+    autocorrelation falls below 1/e.
 
     Args:
-        residual: measured minus predicted features (K, F) mm.
-        t_seen: (K,) s.
-        form_error: the model error (V, 3) mm.
+        residual: measured minus predicted features, (K, F) mm; NaN where unseen.
+        t_seen: times of the frames, (K,) s.
+        form_error: model error, (V, 3) mm.
         measured: noise from repeats, revisits or high frequencies.
-        repeats: scatter of poses that were seen again. Then only the part of the model error that
-            is a function of the commands counts; the rest is memory or noise.
+        repeats: scatter of poses that were seen again, or None. With it, only the part of the model
+            error that is a function of the commands counts; the rest is memory or noise.
+
+    Returns:
+        Noise: with the sum of both covariances.
     """
     clean = filled(residual)
     clean = clean - clean.mean(axis=0)
@@ -314,10 +335,15 @@ def rod_noise(
 
 
 def form_covariance(form_error: Floats, positions: Mask, section: NDArray[np.int64]) -> Floats:
-    """Return the covariance (F, F) mm² of the model error, correlated along the body.
+    """Return the covariance (F, F) mm² of the model error.
 
-    `form_error` (V, 3) mm RMS per component, `positions` (V,), `section` (V,). Places and
-    directions, and the three components, are independent; neighbours along the body are not.
+    Neighbours along the body are correlated. Places and directions are independent, and so are the
+    three components.
+
+    Args:
+        form_error: RMS of each component, (V, 3) mm.
+        positions: which features are places, (V,).
+        section: section of each feature, (V,).
     """
     place = section / max(1, int(section.max(initial=1)))
     # features come in groups that run along the body
@@ -333,9 +359,11 @@ def form_covariance(form_error: Floats, positions: Mask, section: NDArray[np.int
 
 @dataclass(frozen=True)
 class Kernel:
-    """The kernel over the commands of some frames, as K = Q diag(λ) Qᵀ.
+    """The kernel over the commands of K frames, as Q diag(λ) Qᵀ.
 
-    `basis` is Q (K, r), `strength` λ (r,).
+    Attributes:
+        basis: Q, (K, r).
+        strength: λ, (r,).
     """
 
     basis: Floats
@@ -343,22 +371,22 @@ class Kernel:
 
 
 def scaled_commands(command: Floats, unit: Floats) -> Floats:
-    """Return commands (K, C) in multiples of `unit` (C,).
-
-    A channel that never moves gives no scale and is 0.
-    """
+    """Return commands (K, C) in multiples of `unit` (C,); 0 for a channel whose unit is 0."""
     return np.asarray(command / np.where(unit > 1e-9, unit, np.inf))
 
 
 def command_kernel(
     command: Floats, spread: Floats, leaning: Floats | None = None, rank: int = RANK
 ) -> Kernel:
-    """Return the squared-exponential kernel over commands (K, C), at rank <= `rank`.
+    """Return the squared-exponential kernel over commands.
 
-    It is scaled by `spread` (C,).
-
-    `leaning` (K, d): the kernel is multiplied by the products of its rows, so what grows with a
-    lean is another error in another orientation; its rank is then up to d times as large.
+    Args:
+        command: (K, C).
+        spread: range of each channel, (C,), in the unit of the commands; it sets the kernel length.
+        leaning: (K, d), or None. The kernel is multiplied by the products of its rows, so the error
+            that grows with a lean differs between orientations. The rank may then be d times as
+            large.
+        rank: largest rank of the kernel.
     """
     if command.shape[0] == 0:
         return Kernel(np.zeros((0, 0)), np.zeros(0))
@@ -388,13 +416,14 @@ def command_kernel(
 
 @dataclass(frozen=True)
 class Whitener:
-    """Turns feature differences (..., K, F) into numbers (..., K, M) of unit variance.
+    """Convert feature differences to numbers of unit variance, if noise and model error are right.
 
-    They are so if noise and form are right.
-
-    `project` (M, F) maps features to noise-white spatial modes, `form` (M,) is the form variance of
-    each mode. `level` (M,) is the variance that noise alone gives each mode: 1, and less along a
-    slow jitter of the frame, whose frames count for less than one each.
+    Attributes:
+        project: map from features to noise-white spatial modes, (M, F).
+        form: variance of the model error in each mode, (M,).
+        kernel: kernel over the commands of the frames.
+        level: variance of each mode by noise alone, (M,): 1, and less along a slow jitter of the
+            frame, where several frames count as one. None without jitter.
     """
 
     project: Floats
@@ -404,18 +433,18 @@ class Whitener:
 
     @property
     def numbers(self) -> float:
-        """Independent numbers of a frame: the sum of squares of its modes under noise alone."""
+        """Independent numbers in a frame: the sum of squares of its modes under noise alone."""
         return float(len(self.form) if self.level is None else self.level.sum())
 
     def modes(self, difference: Floats) -> Floats:
-        """Return (..., K, M) modes in units of noise; unseen values (NaN) are no difference."""
+        """Return the modes (..., K, M) of a difference (..., K, F) mm, in units of noise.
+
+        Unseen values (NaN) count as no difference.
+        """
         return np.asarray(np.where(np.isfinite(difference), difference, 0.0) @ self.project.T)
 
     def shrink(self, modes: Floats, kernel: Kernel | None = None) -> Floats:
-        """Return `modes` (..., K, M) with the model-form error's directions scaled down.
-
-        These are directions over the commands.
-        """
+        """Return `modes` (..., K, M), scaled down in the directions of the model error."""
         kernel = self.kernel if kernel is None else kernel
         if not len(kernel.strength) or not np.any(self.form > 0):
             return modes
@@ -424,9 +453,10 @@ class Whitener:
         return np.asarray(modes + kernel.basis @ (factor * inside))
 
     def squares(self, modes: Floats) -> Floats:
-        """Return the sum of squares (...) of the shrunk `modes` (..., K, M), without them.
+        """Return the sum of squares (...) of the shrunk modes, from `modes` (..., K, M).
 
-        The kernel's basis is orthonormal: what lies along it is scaled, all else stays.
+        The shrunk modes are not computed: the basis of the kernel is orthonormal, so the part along
+        it is scaled and the rest is unchanged.
         """
         flat = modes.reshape(*modes.shape[:-2], -1)
         energy = np.einsum("...n,...n->...", flat, flat)
@@ -442,13 +472,15 @@ def whitener(noise: Noise, form: Floats, signatures: Floats, kernel: Kernel) -> 
 
     Args:
         noise: noise of one frame.
-        form: covariance (F, F) mm² of the model error; zeros switch it off.
-        signatures: feature differences (S, K, F) mm that candidates would make; their span is what
-            is looked at.
+        form: covariance of the model error, (F, F) mm²; zeros switch it off.
+        signatures: feature differences that the candidates would cause, (S, K, F) mm.
         kernel: kernel over the commands of the frames.
 
     Returns:
         Whitener: with at most 24 modes.
+
+    Raises:
+        SoftmapError: noise and signatures differ in their number of features.
     """
     features = noise.covariance.shape[0]
     if signatures.shape[-1] != features:
@@ -481,11 +513,11 @@ def _distance2(a: Floats, b: Floats) -> Floats:
 
 
 def _shrunk(covariance: Floats, degrees: int) -> Floats:
-    """Shrink towards the diagonal: an estimate from few replicates has directions without variance.
+    """Shrink a covariance (F, F) from few replicates towards its diagonal.
 
-    The amount is that of oracle approximating shrinkage (Chen et al. 2010,
-    doi:10.1109/TSP.2010.2053029) for the correlations, and at least the share of features among
-    features and degrees of freedom.
+    Few replicates leave directions without variance. The amount is that of oracle approximating
+    shrinkage (Chen et al. 2010, doi:10.1109/TSP.2010.2053029) for the correlations. It is at least
+    F / (F + degrees of freedom).
     """
     features = len(covariance)
     diagonal = np.diag(covariance).copy()
@@ -501,9 +533,9 @@ def _shrunk(covariance: Floats, degrees: int) -> Floats:
 
 
 def _high_frequency(residual: Floats, t_seen: Floats) -> Floats:
-    """Noise variance from second differences r[k-1] - 2 r[k] + r[k+1], outliers clipped.
+    """Return the noise covariance from clipped second differences r[k-1] - 2 r[k] + r[k+1].
 
-    It is 6 σ² for white noise.
+    Their variance is 6 σ² for white noise.
     """
     if len(residual) < 5:
         raise SoftmapError(

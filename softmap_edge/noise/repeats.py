@@ -1,13 +1,13 @@
 """Repeats of a run: dwells, their scatter about a drift, visits of one pose in several dwells.
 
     dwell      frames of one uninterrupted stay at one command, from SETTLED s after the last motion
-    scatter    remainder of a dwell after a quadratic in time (a line where it is short): creep in a
+    scatter    remainder of a dwell after a quadratic in time (a line if it is short): creep in a
                dwell is not noise
-    pose       dwells of one command within SAME of its range, in one orientation and under one load
+    pose       dwells of one command (within SAME of its range), in one orientation, under one load
 
-`check`, `compare` and `diagnose` take their noise from these. Units: mm, s. Limit: noise that stays
-constant through a dwell is detected only between visits of one pose (`jitter.py`). Pinned by
-tests/noise/test_noise.py and tests/test_repeats.py.
+`check`, `compare` and `diagnose` take their noise from these. Units: mm, s. Limit: noise that is
+constant in a dwell is detected only between visits of one pose (`jitter.py`). Pinned by
+tests/noise/test_noise.py and tests/noise/test_one_noise.py.
 """
 
 from __future__ import annotations
@@ -33,9 +33,12 @@ RUN = 40  # bits of a dwell's number below the number of its run (`records.py`)
 
 @dataclass(frozen=True)
 class Scatter:
-    """Scatter of dwells: sum of squares (F, F) mm², degrees of freedom, correlation.
+    """Scatter of dwells about their drifts.
 
-    The last is that of neighbours.
+    Attributes:
+        squares: sums of squares and products, (F, F) mm².
+        degrees: degrees of freedom.
+        rho: correlation of neighbouring frames.
     """
 
     squares: Floats
@@ -44,23 +47,22 @@ class Scatter:
 
 
 def settled_dwells(state: Conditions) -> Ints:
-    """Return which dwell (K,) each frame belongs to once it has settled; -1 for all others."""
+    """Return the number of the dwell of each settled frame, (K,); -1 for all other frames."""
     return np.where(state.dwell >= SETTLED, state.visit, -1)
 
 
 def rows_of(dwell: Ints, least: int = 1) -> list[NDArray[np.intp]]:
-    """Return the frames of each dwell (K,) that has at least so many, in time."""
+    """Return the frames of each dwell that has at least `least` of them, in order of time."""
     order = np.argsort(dwell, kind="stable")
     cuts = np.flatnonzero(np.diff(dwell[order])) + 1
     return [rows for rows in np.split(order, cuts) if len(rows) >= least and dwell[rows[0]] >= 0]
 
 
 def undrifted(dwell: Floats) -> tuple[Floats, int]:
-    """Return the scatter of a dwell (K, F) about a quadratic in time, and the fit.
+    """Return a dwell (K, F) without its drift, and the number of fitted terms.
 
-    It is a line where the dwell is short.
-
-    Creep within a dwell is not noise.
+    The drift is a quadratic in time, or a line if the dwell is short. Creep in a dwell is not
+    noise.
     """
     basis = drift(len(dwell))
     return np.asarray(dwell - basis @ (basis.T @ dwell)), basis.shape[1]
@@ -68,13 +70,13 @@ def undrifted(dwell: Floats) -> tuple[Floats, int]:
 
 @lru_cache(maxsize=256)
 def drift(frames: int) -> Floats:
-    """Return the orthonormal drift (K, order) that a dwell of so many frames is allowed."""
+    """Return the orthonormal drift (K, order) that is fitted to a dwell of K frames."""
     tau, order = np.linspace(-1.0, 1.0, frames), 3 if frames >= LONG_DWELL else 2
     return np.asarray(np.linalg.qr(np.vander(tau, order))[0])
 
 
 def dwell_scatter(values: Floats, dwell: Ints) -> Scatter:
-    """Return the scatter of values (K, F) mm about each dwell's drift (K,); NaN is ignored."""
+    """Return the scatter of values (K, F) mm about the drift of each dwell (K,); NaN is ignored."""
     features = values.shape[1]
     scatter, degrees, lag = np.zeros((features, features)), 0, [0.0, 0.0]
     inside = dwell >= 0
@@ -99,9 +101,10 @@ def dwell_degrees(dwell: Ints) -> int:
 
 
 def filled(values: Floats) -> Floats:
-    """Return values (K, F) with unseen ones interpolated between earlier and later ones: no jump.
+    """Return values (K, F) in which unseen ones are interpolated in time.
 
-    Otherwise a marker that is hidden now and then would seem as noisy as the model is wrong there.
+    Without this, a marker that is hidden now and then would jump, and the model error would count
+    as noise.
     """
     seen = np.isfinite(values)
     if seen.all():
@@ -118,9 +121,9 @@ def filled(values: Floats) -> Floats:
 
 
 def poses(state: Conditions, dwell: Ints) -> list[list[NDArray[np.intp]]]:
-    """Return the poses that were visited in two dwells or more: the frames of every visit of each.
+    """Return the frames of each visit, for every pose that was visited in two dwells or more.
 
-    Dwells of several runs are never one pose, because the base may stand differently in each run.
+    Dwells of different runs are never one pose, because the base may stand differently in each run.
     """
     visits = rows_of(dwell)
     span = np.ptp(state.command, axis=0) if len(state.command) else np.zeros(0)

@@ -25,11 +25,15 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Bench:
+class DrivenRobot:
     """A robot that is ready to be driven.
 
-    It has its `rig`, the `limits` of its loop, its `calibration` and its `model`. The model of a
-    real rig uses that calibration. An emulated robot also has its `finger`.
+    Attributes:
+        rig: the hardware, as in its file.
+        limits: of the control loop.
+        calibration: map of servo ticks to commands.
+        model: of the finger; that of a real rig uses this calibration.
+        finger: the emulated finger; None on a real rig.
     """
 
     rig: Rig
@@ -39,7 +43,7 @@ class Bench:
     finger: EmulatedFinger | None = None
 
 
-def read_bench(path: str | Path, model: Model) -> Bench:
+def read_driven_robot(path: str | Path, model: Model) -> DrivenRobot:
     """Return the robot of a rig file, ready to be driven with the finger of `model`.
 
     Raises:
@@ -48,7 +52,7 @@ def read_bench(path: str | Path, model: Model) -> Bench:
     known = calibration_of(model)  # first, because a user corrects the bundle before the rig
     rig = read_rig(path)
     found = effective_limits(rig, model, known, RATE)
-    return Bench(
+    return DrivenRobot(
         rig, found.table(), found.calibration, replace(model, calibration=found.calibration)
     )
 
@@ -74,8 +78,8 @@ def open_robot(
         ServoError: something that driving needs is missing; the message names it. On entering: as
             `Controller`.
     """
-    bench = read_bench(rig, model if isinstance(model, Model) else load_bundle(model))
-    kinematics = Kinematics(bench.model, axes=axes)
+    driven = read_driven_robot(rig, model if isinstance(model, Model) else load_bundle(model))
+    kinematics = Kinematics(driven.model, axes=axes)
     return Controller(
-        bench.rig, bench.calibration, bench.limits, kinematics=kinematics, record=record
+        driven.rig, driven.calibration, driven.limits, kinematics=kinematics, record=record
     )

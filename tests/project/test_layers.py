@@ -63,10 +63,21 @@ def test_arrows_point_down_without_circles(root, within, layers):
     height, found = heights(layers), arrows(root, within)
     assert {name for pair in found for name in pair} <= set(height), "each folder has its layer"
     assert not {pair: files for pair, files in found.items() if height[pair[0]] < height[pair[1]]}
-    left = {pair for pair in found if height[pair[0]] == height[pair[1]]}
+    level = {pair for pair in found if height[pair[0]] == height[pair[1]]}
+    assert not circles(level), "a circle of folders within one layer"
+
+
+def circles(pairs):
+    """Return the pairs `(from, to)` that are left after all that lead to an end are taken away."""
+    left = set(pairs)
     while ends := {b for _, b in left} - {a for a, _ in left}:
         left = {pair for pair in left if pair[1] not in ends}
-    assert not left, "a circle of folders within one layer"
+    return left
+
+
+def test_modules_of_commands_import_each_other_without_circles():
+    """Imports in functions and those for types alone count as well."""
+    assert not circles(arrows(PACKAGE / "commands", "softmap_edge.commands"))
 
 
 WORKSHOP = (

@@ -16,7 +16,7 @@ import pytest
 from bad_inputs import TABLE
 from driving import PICTURE, Session, hand
 from ordinary_user import as_ordinary_user
-from rigs import HOME, NUMBER, TICKS_PER_MM, angles, bench, calibration, torque
+from rigs import HOME, NUMBER, TICKS_PER_MM, angles, calibration, emulated_rig, torque
 
 from softmap_edge import _core, builtin_model, save_bundle
 from softmap_edge.cli import main
@@ -141,9 +141,9 @@ STARTS = {
 
 
 @pytest.mark.parametrize("name", STARTS)
-def test_a_bench_that_is_not_as_it_must_be(name):
+def test_a_rig_that_is_not_as_it_must_be(name):
     line, states = TABLE[name]
-    with bench() as (bus, rig, limits):
+    with emulated_rig() as (bus, rig, limits):
         assert NUMBER == 1200
         said, found = STARTS[name](bus, rig, limits)
         assert re.fullmatch(line, said), said
@@ -163,7 +163,7 @@ def test_a_damaged_bundle(verb, tmp_path, monkeypatch, capsys):
         "servo move": ["servo", "move", "1,1", "--hold"],
         "teleop": ["teleop", "--page", "none"],
     }[verb]
-    with bench() as (bus, rig, limits):
+    with emulated_rig() as (bus, rig, limits):
         rig.write("rig.toml")
         assert main([*words, "--rig", "rig.toml", "--bundle", "finger"]) == 2
         assert re.fullmatch(f"softmap {verb}: {line}\n", capsys.readouterr().err)

@@ -11,7 +11,7 @@ from page import blocks, lines
 from softmap_edge.cli import main
 from softmap_edge.commands.robot import plain_map
 from softmap_edge.model.bundle import builtin_model, save_bundle
-from softmap_edge.robot.emulated.finger import emulated_bench
+from softmap_edge.robot.emulated.finger import emulated_robot
 from softmap_edge.robot.servo.rig import read_rig
 
 pytestmark = pytest.mark.long
@@ -39,7 +39,7 @@ def test_from_the_box_to_ready(tmp_path, monkeypatch, capsys):
     model = builtin_model()
     save_bundle(model, tmp_path / "model")
     done, said = [], {}
-    with emulated_bench(model, plain_map(model), ready=False) as (bus, _, _, _):
+    with emulated_robot(model, plain_map(model), ready=False) as (bus, _, _, _):
         for language, text in blocks(PAGE):
             if language == "text":
                 continue

@@ -7,7 +7,7 @@ import shlex
 from dataclasses import replace
 
 import pytest
-from rigs import BAUD, HOME, WINDOW, bench, calibration
+from rigs import BAUD, HOME, WINDOW, calibration, emulated_rig
 
 from softmap_edge import builtin_model, save_bundle
 from softmap_edge.cli import main
@@ -45,7 +45,7 @@ def test_what_keeps_the_guard_from_starting_is_a_fault_everywhere(
     breaks, said, remedy, tmp_path, capsys
 ):
     file = str(tmp_path / "rig.toml")
-    with bench() as (bus, rig, limits):
+    with emulated_rig() as (bus, rig, limits):
         rig.write(file)
         assert main(["servo", "read", "--rig", file]) == 0
         breaks(bus)
@@ -66,7 +66,7 @@ def test_what_keeps_the_guard_from_starting_is_a_fault_everywhere(
 
 
 def test_connect_is_denied_with_servo_value_limit_and_remedy():
-    with bench() as (bus, rig, limits):
+    with emulated_rig() as (bus, rig, limits):
         bus.heat(1, 69.0)
         with pytest.raises(
             ServoError,
@@ -86,7 +86,10 @@ def held(robot, seconds, target=(0.0, 0.0)):
 
 @pytest.mark.parametrize("volts", [2.9, 8.1])
 def test_a_short_dip_of_the_supply_is_no_fault_and_a_long_one_is(volts):
-    with bench(grace=1.0) as (bus, rig, limits), Controller(rig, calibration(), limits) as robot:
+    with (
+        emulated_rig(grace=1.0) as (bus, rig, limits),
+        Controller(rig, calibration(), limits) as robot,
+    ):
         robot.engage()
         assert held(robot, 0.3) == "engaged"
         for _ in range(3):
@@ -101,7 +104,10 @@ def test_a_short_dip_of_the_supply_is_no_fault_and_a_long_one_is(volts):
 
 
 def test_a_dip_before_the_start_has_its_grace_too():
-    with bench(grace=1.0) as (bus, rig, limits), Controller(rig, calibration(), limits) as robot:
+    with (
+        emulated_rig(grace=1.0) as (bus, rig, limits),
+        Controller(rig, calibration(), limits) as robot,
+    ):
         bus.supply(0, 2.9)
         robot.time.sleep(0.2)
         robot.engage()
@@ -110,8 +116,8 @@ def test_a_dip_before_the_start_has_its_grace_too():
         assert held(robot, 1.5) == "engaged"
 
 
-def test_a_ceiling_of_the_bench_is_the_limit(tmp_path):
-    with bench() as (bus, rig, _):
+def test_a_ceiling_of_the_rig_is_the_limit(tmp_path):
+    with emulated_rig() as (bus, rig, _):
         replace(rig, ceiling=Ceiling((("hot", 50.0),))).write(tmp_path / "rig.toml")
         bus.heat(0, 55.0)
         (line,) = [
@@ -135,7 +141,7 @@ def test_a_place_outside_the_window_is_a_fault_and_its_command_leads_back(tmp_pa
         "--seconds",
         "0.1",
     ]
-    with bench(load=[]) as (bus, rig, _):
+    with emulated_rig(load=[]) as (bus, rig, _):
         rig.write(file)
         for _ in range(4):
             assert (

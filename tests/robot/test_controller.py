@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rigs import HOME, TICKS_PER_MM, WINDOW, angles, bench, calibration, set_up, torque
+from rigs import HOME, TICKS_PER_MM, WINDOW, angles, calibration, emulated_rig, set_up, torque
 from waiting import hold_for, until
 
 from softmap_edge import _core
@@ -24,7 +24,7 @@ from softmap_edge.robot.servo.rig import Rig, RigServo, read_rig
 
 
 def test_follows_targets_and_ends_slack():
-    with bench() as (bus, rig, limits):
+    with emulated_rig() as (bus, rig, limits):
         with Controller(rig, calibration(), limits) as robot:
             assert robot.state == "ready" and not torque(bus)
             assert robot.engage() == pytest.approx([0.0, 0.0])
@@ -44,7 +44,10 @@ def test_follows_targets_and_ends_slack():
 
 
 def test_a_program_that_stops_calling_is_held_then_tension_is_released():
-    with bench(hold=0.4) as (bus, rig, limits), Controller(rig, calibration(), limits) as robot:
+    with (
+        emulated_rig(hold=0.4) as (bus, rig, limits),
+        Controller(rig, calibration(), limits) as robot,
+    ):
         robot.engage()
         hold_for(robot, [1.0, 0.0], 0.8)
         until(lambda: robot.state == "hold", 1.0)
@@ -59,7 +62,7 @@ def test_a_program_that_stops_calling_is_held_then_tension_is_released():
 
 @pytest.mark.parametrize("old", [(0, 1), (1,)], ids=["both", "one"])
 def test_servos_of_older_firmware_are_driven_as_well(old):
-    with bench() as (bus, rig, limits):
+    with emulated_rig() as (bus, rig, limits):
         for servo in old:
             bus.flash(servo, _core.FAST_FIRMWARE - 1)
         with Controller(rig, calibration(), limits) as robot:
@@ -70,7 +73,7 @@ def test_servos_of_older_firmware_are_driven_as_well(old):
 
 
 def test_who_sent_nothing_for_too_long_is_reported_so_and_who_let_go_that_he_did():
-    with bench() as (_, rig, limits), Controller(rig, calibration(), limits) as robot:
+    with emulated_rig() as (_, rig, limits), Controller(rig, calibration(), limits) as robot:
         robot.engage()
         until(lambda: robot.state == "ready", 10.0)
         with pytest.raises(
@@ -89,7 +92,7 @@ def test_who_sent_nothing_for_too_long_is_reported_so_and_who_let_go_that_he_did
 
 
 def test_a_request_that_is_denied_says_why():
-    with bench() as (_, rig, limits), Controller(rig, calibration(), limits) as robot:
+    with emulated_rig() as (_, rig, limits), Controller(rig, calibration(), limits) as robot:
         with pytest.raises(
             ServoError, match="'arm' is denied in state ready: not allowed in state ready"
         ):
@@ -112,7 +115,7 @@ def test_a_request_that_is_denied_says_why():
 )
 def test_a_fault_ends_without_torque(name, breaks):
     silent = pytest.raises(ServoError, match="did not confirm that (its|their) torque is off")
-    with bench() as (bus, rig, limits):
+    with emulated_rig() as (bus, rig, limits):
         with (
             silent if name == "silent" else contextlib.nullcontext(),
             Controller(rig, calibration(), limits) as robot,
@@ -138,7 +141,7 @@ def test_a_fault_ends_without_torque(name, breaks):
     [pytest.param(False, id="a servo was mute"), pytest.param(True, id="the bus had no power")],
 )
 def test_a_running_loop_accepts_no_home_and_the_next_start_asks_for_confirmation(power):
-    with bench() as (bus, rig, limits):
+    with emulated_rig() as (bus, rig, limits):
         with Controller(rig, calibration(), limits) as robot:
             robot.engage()
             hold_for(robot, [1.0, 1.0], 0.4)
@@ -160,7 +163,7 @@ def test_a_running_loop_accepts_no_home_and_the_next_start_asks_for_confirmation
 
 @pytest.mark.parametrize("how", ["stuck", "jammed"])
 def test_a_fault_after_which_home_must_be_confirmed_is_kept_over_a_restart(how):
-    with bench() as (bus, rig, limits):
+    with emulated_rig() as (bus, rig, limits):
         limits["servos"] = [one | {"following": 300.0} for one in limits["servos"]]
         with (
             pytest.raises(ServoError, match="does not follow"),
@@ -197,7 +200,11 @@ def test_an_unplugged_port_ends_the_loop_with_a_reason():
     unsure = pytest.raises(
         ServoError, match="servos 1, 2 did not confirm that their torque is off; cut their supply"
     )
-    with bench() as (bus, rig, limits), unsure, Controller(rig, calibration(), limits) as robot:
+    with (
+        emulated_rig() as (bus, rig, limits),
+        unsure,
+        Controller(rig, calibration(), limits) as robot,
+    ):
         robot.engage()
         bus.unplug()
         until(lambda: robot.state == "fault" and robot.ended, 5.0)
@@ -228,7 +235,7 @@ def program():
     """Start a user's program in a process of its own on an emulated bus; gives bus, process, and
     the loop's pid.
     """
-    with bench() as (bus, _, _):
+    with emulated_rig() as (bus, _, _):
         text = PROGRAM.format(tests=str(Path(__file__).parents[1] / "support"), path=bus.path)
         user = subprocess.Popen(
             [sys.executable, "-c", text], stdout=subprocess.PIPE, stderr=subprocess.PIPE
@@ -337,7 +344,7 @@ def test_a_frozen_computer_leaves_the_servos_standing_and_releases_them_when_it_
 
 
 def test_servos_that_differ_from_the_rig_are_refused():
-    with bench() as (bus, rig, limits):
+    with emulated_rig() as (bus, rig, limits):
         ours = _core.ServoBus(bus.path, rig.baud)
         ours.write(2, 64, b"\x01")
         ours.close()

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pytest
 from ordinary_user import as_ordinary_user
-from rigs import HOME, MODEL, bench, calibration, torque
+from rigs import HOME, MODEL, calibration, emulated_rig, torque
 
 from softmap_edge import _core, builtin_model, load_bundle, save_bundle
 from softmap_edge.cli import main
@@ -38,8 +38,8 @@ def any_computer(monkeypatch):
     monkeypatch.setattr(host, "EXTRAS", {})
 
 
-def test_a_bench_that_is_well(tmp_path, capsys, any_computer):
-    with bench() as (bus, rig, _):
+def test_a_rig_that_is_well(tmp_path, capsys, any_computer):
+    with emulated_rig() as (bus, rig, _):
         rig.write(tmp_path / "rig.toml")
         before = bus.state()[1]
         lines = doctor.examine(rig=tmp_path / "rig.toml").lines
@@ -83,8 +83,8 @@ def test_a_bench_that_is_well(tmp_path, capsys, any_computer):
         (lambda bus: bus.unplug(), "bus", "no such port", "softmap servo scan"),
     ],
 )
-def test_a_bench_that_is_not(tmp_path, breaks, name, found, do):
-    with bench() as (bus, rig, _):
+def test_a_rig_that_is_not(tmp_path, breaks, name, found, do):
+    with emulated_rig() as (bus, rig, _):
         rig.write(tmp_path / "rig.toml")
         breaks(bus)
         examined = doctor.examine(rig=tmp_path / "rig.toml")
@@ -101,7 +101,7 @@ ON = "its torque is on: another program drives it, or one died"
 
 
 def test_torque_that_is_on_is_reported_and_left_on(tmp_path):
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         ours = _core.ServoBus(bus.path, rig.baud)
         ours.write(1, 64, b"\x01")
         ours.close()
@@ -114,7 +114,7 @@ def test_torque_that_is_on_is_reported_and_left_on(tmp_path):
 
 
 def test_a_busy_port_another_model_and_damaged_files(tmp_path):
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         file = tmp_path / "rig.toml"
         rig.write(file)
         ours = _core.ServoBus(bus.path, rig.baud)
@@ -146,7 +146,7 @@ def test_a_bundle_without_calibration(tmp_path):
 
 
 def test_an_emergency_stop_that_cannot_be_asked_is_a_fault(tmp_path):
-    with bench() as (_, rig, _):
+    with emulated_rig() as (_, rig, _):
         for chip, key, faults in (
             (
                 "/dev/gpiochip9x",
@@ -205,7 +205,7 @@ def test_what_combined_drives_is_no_fault(tmp_path):
     """
     plain = replace(calibration(), window=None)
     save_bundle(replace(builtin_model(), calibration=plain, safety=None), tmp_path / "b")
-    with bench() as (_, rig, _):
+    with emulated_rig() as (_, rig, _):
         rig.write(tmp_path / "rig.toml")
         effective_limits(rig, load_bundle(tmp_path / "b")).table()
         lines = doctor.examine(rig=tmp_path / "rig.toml", bundle=tmp_path / "b").lines
@@ -292,7 +292,7 @@ def rights(folder):
     os.geteuid() != 0, reason="a child becomes an ordinary user; an ordinary user is one already"
 )
 def test_an_ordinary_user_is_reported_what_rights_are_missing(tmp_path):
-    with bench() as (bus, _, _):
+    with emulated_rig() as (bus, _, _):
         os.chmod(bus.path, 0o600)
         tmp_path.chmod(0o755)
         for name in ("ttyUSB0", "video0"):
@@ -353,7 +353,7 @@ def test_as_text(capsys, any_computer):
 
 def test_the_port_of_the_rig_is_among_the_serial_ports(tmp_path):
     """A port that no pattern lists (a pseudo-terminal, a udev name) is there all the same."""
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         file = tmp_path / "rig.toml"
         rig.write(file)
         assert named(host.ports(tmp_path), "serial port").state == WARNING
@@ -369,7 +369,7 @@ def test_the_port_of_the_rig_is_among_the_serial_ports(tmp_path):
 
 
 def test_a_home_is_reported_once_with_a_complete_remedy(tmp_path):
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         rig.write(tmp_path / "rig.toml")
         bus.reset(1)
         line = named(doctor.examine(rig=tmp_path / "rig.toml").lines, "home of servo 2")

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 import pytest
-from rigs import HOME, TICKS_PER_MM, angles, bench, calibration, torque
+from rigs import HOME, TICKS_PER_MM, angles, calibration, emulated_rig, torque
 from waiting import hold_for, until
 
 from softmap_edge.errors import LinkError, ServoError
@@ -81,7 +81,7 @@ def assert_stopped(robot, bus):
 
 
 def test_a_program_presses_and_releases():
-    with bench() as (bus, rig, limits), Controller(rig, calibration(), limits) as robot:
+    with emulated_rig() as (bus, rig, limits), Controller(rig, calibration(), limits) as robot:
         robot.engage()
         hold_for(robot, [1.0, -1.0], 0.8)
         robot.emergency()
@@ -108,7 +108,7 @@ def test_a_program_presses_and_releases():
 
 
 def test_it_stops_from_another_thread_while_targets_are_sent():
-    with bench() as (bus, rig, limits), Controller(rig, calibration(), limits) as robot:
+    with emulated_rig() as (bus, rig, limits), Controller(rig, calibration(), limits) as robot:
         robot.engage()
         pressing = threading.Timer(0.5, robot.emergency)
         pressing.start()
@@ -119,7 +119,7 @@ def test_it_stops_from_another_thread_while_targets_are_sent():
 
 
 def test_a_loop_that_does_not_hear_it_is_ended_and_the_servos_released(monkeypatch):
-    with bench() as (bus, rig, limits), Controller(rig, calibration(), limits) as robot:
+    with emulated_rig() as (bus, rig, limits), Controller(rig, calibration(), limits) as robot:
         robot.engage()
         monkeypatch.setattr(controller_module, "FROZEN", 5.0)  # no other check notices first
         robot._process.send_signal(19)  # SIGSTOP
@@ -141,7 +141,7 @@ def heart_rig(tmp_path):
 
 def test_a_heart_that_presses_or_stops_is_an_emergency(heart_rig):
     with_heart, heart = heart_rig
-    with bench() as (bus, rig, limits):
+    with emulated_rig() as (bus, rig, limits):
         rig = with_heart(rig)
         with beating(heart) as said, Controller(rig, calibration(), limits) as robot:
             robot.engage()
@@ -167,7 +167,7 @@ def test_a_heart_that_was_recorded_or_has_another_key_starts_nothing(
 ):
     with_heart, heart = heart_rig
     monkeypatch.setattr(controller_module, "STARTS", 1.0)
-    with bench() as (bus, rig, limits):
+    with emulated_rig() as (bus, rig, limits):
         rig = with_heart(rig)
         with beating(heart), Controller(rig, calibration(), limits):
             pass
@@ -206,7 +206,7 @@ def test_a_heart_that_was_recorded_or_has_another_key_starts_nothing(
 
 
 def test_a_stop_that_cannot_be_had_starts_nothing_and_says_why(tmp_path):
-    with bench() as (bus, rig, limits):
+    with emulated_rig() as (bus, rig, limits):
         for stop, said in (
             (
                 Emergency(gpio=Line("/dev/gpiochip999", 17)),
@@ -234,7 +234,7 @@ def test_a_stop_that_cannot_be_had_starts_nothing_and_says_why(tmp_path):
 def test_the_key_of_a_heart_is_in_no_recording(heart_rig, tmp_path):
     with_heart, heart = heart_rig
     key = read_key(tmp_path / "stop.key")
-    with bench() as (_, rig, limits), beating(heart):
+    with emulated_rig() as (_, rig, limits), beating(heart):
         record = tmp_path / "run.mcap"
         with Controller(with_heart(rig), calibration(), limits, record=record):
             pass
@@ -246,7 +246,7 @@ def test_the_key_of_a_heart_is_in_no_recording(heart_rig, tmp_path):
 
 def test_the_command_beats_and_its_end_is_an_emergency(heart_rig, tmp_path):
     with_heart, _ = heart_rig
-    with bench() as (bus, rig, limits):
+    with emulated_rig() as (bus, rig, limits):
         rig = with_heart(rig)
         code = "import sys; from softmap_edge.cli import main; sys.exit(main(sys.argv[1:]))"
         where = f"127.0.0.1:{rig.emergency.udp.port}"
@@ -284,7 +284,7 @@ def test_the_command_beats_and_its_end_is_an_emergency(heart_rig, tmp_path):
 
 
 def test_rig_toml_carries_its_stops(tmp_path):
-    with bench() as (_, rig, _):
+    with emulated_rig() as (_, rig, _):
         stops = Emergency(
             Line("/dev/gpiochip4", 22, True),
             Beats(5006, str(tmp_path / "stop.key"), 0.1, "10.0.0.2"),
@@ -327,7 +327,7 @@ def test_torque_off_drives_nothing_home():
     """Horns that no tendon pulls stay where the stop met them; a session without a stop goes
     home.
     """
-    with bench(load=[]) as (bus, rig, limits):
+    with emulated_rig(load=[]) as (bus, rig, limits):
         with Controller(rig, calibration(), limits) as robot:
 
             def there():

@@ -23,7 +23,7 @@ from softmap_edge.experiment.blocks import chosen, plan
 from softmap_edge.robot.control.emergency_key import HELP, PRESSED
 from softmap_edge.robot.control.recording import read_recording
 from softmap_edge.robot.drive.command_file import write_commands
-from softmap_edge.robot.emulated.finger import emulated_bench
+from softmap_edge.robot.emulated.finger import emulated_robot
 from softmap_edge.robot.link.points import PointSender
 from softmap_edge.run.protocol import Limits
 
@@ -43,7 +43,7 @@ def robot(tmp_path_factory):
         folder / "commands.csv", plan(chosen(["circle"]), Limits.even(2, 3.0)), model.robot
     )
     with (
-        emulated_bench(model, model.calibration, rate=100.0) as (bus, rig, _, finger),
+        emulated_robot(model, model.calibration, rate=100.0) as (bus, rig, _, finger),
         PointSender("127.0.0.1", CAMERA) as sender,
         streaming(finger, [sender]),
     ):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from command import SOFTMAP
 from emulated_robot import emulated, say
-from rigs import HOME, bench, calibration
+from rigs import HOME, calibration, emulated_rig
 from waiting import hold_for, until
 
 from softmap_edge import SoftmapError, _core, builtin_model, load_bundle
@@ -51,7 +51,7 @@ def test_what_moves_no_tendon_cannot_hide():
 def test_a_camera_sees_the_finger_that_packets_drive(model):
     laws = hidden_laws(["backlash"], 2, 1)
     with (
-        bench() as (bus, rig, limits),
+        emulated_rig() as (bus, rig, limits),
         EmulatedFinger(bus, model, calibration(), laws, seed=4) as finger,
         Controller(rig, calibration(), limits) as robot,
     ):
@@ -71,7 +71,7 @@ def test_a_camera_sees_the_finger_that_packets_drive(model):
 
 
 def test_a_reversed_and_a_broken_tendon_show(model):
-    with bench() as (bus, rig, limits), EmulatedFinger(bus, model, calibration()) as finger:
+    with emulated_rig() as (bus, rig, limits), EmulatedFinger(bus, model, calibration()) as finger:
         bus.damage(0, reversed=True)
         bus.damage(1, torn=True)
         with Controller(rig, calibration(), limits) as robot:
@@ -82,7 +82,7 @@ def test_a_reversed_and_a_broken_tendon_show(model):
 
 
 def test_a_second_fault_leaves_the_first_and_mending_ends_both(model):
-    with bench() as (bus, rig, limits), EmulatedFinger(bus, model, calibration()) as finger:
+    with emulated_rig() as (bus, rig, limits), EmulatedFinger(bus, model, calibration()) as finger:
 
         def driven():
             with Controller(rig, calibration(), limits) as robot:

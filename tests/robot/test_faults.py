@@ -73,7 +73,7 @@ def back(loop):
 
 
 @pytest.fixture(scope="module", params=STATES)
-def bench(request):
+def loop_in_state(request):
     """Give a state and a function to get its loop, in that state; two loops take turns, one is led
     there while the other is broken."""
     state, stop = request.param, request.param == "safe_stop"
@@ -203,8 +203,8 @@ def reported(get, check):
 
 
 @pytest.mark.parametrize("fault", TABLE)
-def test_reaction(bench, fault):
-    state, get = bench
+def test_reaction(loop_in_state, fault):
+    state, get = loop_in_state
     reported(get, lambda loop, begin: reacts(loop, state, begin, fault, fault))
 
 
@@ -223,9 +223,9 @@ EXCHANGED = [
 ]
 
 
-@pytest.mark.parametrize("bench, broken, quiet", EXCHANGED, indirect=["bench"])
-def test_a_cell_of_nothing_does_not_hold_where_something_happens(bench, broken, quiet):
-    state, get = bench
+@pytest.mark.parametrize("loop_in_state, broken, quiet", EXCHANGED, indirect=["loop_in_state"])
+def test_a_cell_of_nothing_does_not_hold_where_something_happens(loop_in_state, broken, quiet):
+    state, get = loop_in_state
 
     def caught(loop, begin):
         with pytest.raises(AssertionError, match="it does not go on"):

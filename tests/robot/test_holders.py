@@ -8,7 +8,7 @@ import time
 
 import pytest
 from other_program import holding, talking
-from rigs import BAUD, bench, calibration, torque
+from rigs import BAUD, calibration, emulated_rig, torque
 
 from softmap_edge import _core
 from softmap_edge.cli import main
@@ -22,7 +22,7 @@ from softmap_edge.robot.servo.holders import holders
 
 def test_a_program_that_takes_no_lock_is_named_by_all_that_open_the_port(tmp_path, capsys):
     file = str(tmp_path / "rig.toml")
-    with bench() as (bus, rig, limits):
+    with emulated_rig() as (bus, rig, limits):
         rig.write(file)
         with holding(bus.path) as other:
             (one,) = holders(bus.path)
@@ -56,7 +56,7 @@ def test_a_program_that_takes_no_lock_is_named_by_all_that_open_the_port(tmp_pat
 
 
 def test_a_program_that_opens_by_another_name_is_found_and_others_are_not(tmp_path):
-    with bench() as (bus, _, _):
+    with emulated_rig() as (bus, _, _):
         link = tmp_path / "usb-adapter"
         link.symlink_to(bus.path)
         assert holders(bus.path) == [], "the program that emulates is none, nor is this one"
@@ -66,7 +66,7 @@ def test_a_program_that_opens_by_another_name_is_found_and_others_are_not(tmp_pa
                 == [one.pid for one in holders(str(link))]
                 == [other.pid]
             )
-        with bench() as (second, _, _), holding(second.path):
+        with emulated_rig() as (second, _, _), holding(second.path):
             assert holders(bus.path) == [], "another terminal is another port"
         (tmp_path / "plain").touch()
         with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as reads:
@@ -75,7 +75,7 @@ def test_a_program_that_opens_by_another_name_is_found_and_others_are_not(tmp_pa
 
 
 def test_a_name_is_shown_without_what_a_terminal_obeys(tmp_path):
-    with bench() as (bus, _, _):
+    with emulated_rig() as (bus, _, _):
         proc = tmp_path / "4242"
         (proc / "fd").mkdir(parents=True)
         (proc / "fd" / "3").symlink_to(bus.path)
@@ -91,7 +91,7 @@ def test_a_name_is_shown_without_what_a_terminal_obeys(tmp_path):
 def test_answers_that_nothing_asked_for_are_counted_and_recorded(tmp_path):
     file, reported = tmp_path / "drive.mcap", []
     goal = _core.servo_registers()["led"][0]
-    with bench() as (bus, rig, limits):
+    with emulated_rig() as (bus, rig, limits):
         with Controller(rig, calibration(), limits, record=file, tell=reported.append) as robot:
             robot.engage([0.2, 0.0])
             with talking(bus.path, goal, b"\x00"):
@@ -110,7 +110,7 @@ def test_answers_that_nothing_asked_for_are_counted_and_recorded(tmp_path):
 def test_alone_on_the_bus_nothing_is_reported(tmp_path):
     file, reported = tmp_path / "drive.mcap", []
     with (
-        bench() as (bus, rig, limits),
+        emulated_rig() as (bus, rig, limits),
         Controller(rig, calibration(), limits, record=file, tell=reported.append) as robot,
     ):
         robot.engage([0.2, 0.0])
@@ -122,7 +122,7 @@ def test_alone_on_the_bus_nothing_is_reported(tmp_path):
 
 
 def test_a_late_answer_is_none_that_nothing_asked_for():
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         bus.faults(slow=0.15)
         with opened(rig.port, rig.baud) as port:
             assert port.ping(1) is None

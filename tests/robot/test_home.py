@@ -5,7 +5,7 @@ import re
 import shlex
 
 import pytest
-from rigs import BAUD, HOME, MODEL, NUMBER, bench, calibration, set_up, torque
+from rigs import BAUD, HOME, MODEL, NUMBER, calibration, emulated_rig, set_up, torque
 
 from softmap_edge import _core
 from softmap_edge.cli import main
@@ -125,7 +125,7 @@ def test_a_finger_that_is_not_straight_is_refused_and_nothing_is_marked(wound, c
 
 
 def test_a_turn_away_from_a_home_that_is_still_confirmed_is_refused(capsys, tmp_path):
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         file = tmp_path / "rig.toml"
         moved = Rig(rig.port, rig.baud, tuple(RigServo(id, MODEL, HOME + 4096) for id in (1, 2)))
         ours = _core.ServoBus(bus.path, BAUD)
@@ -228,7 +228,7 @@ def test_a_mark_is_made_of_addresses_that_every_model_may_map():
 def test_all_servos_away_from_home_are_listed_with_jogs_that_lead_back(tmp_path, capsys):
     """After a fault the horns stand anywhere: one message, and its commands suffice."""
     file = str(tmp_path / "rig.toml")
-    with bench(load=[]) as (bus, rig, _):
+    with emulated_rig(load=[]) as (bus, rig, _):
         Rig(
             rig.port,
             rig.baud,

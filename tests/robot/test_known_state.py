@@ -9,7 +9,7 @@ import sys
 
 import pytest
 from other_program import leave
-from rigs import BAUD, HOME, MODEL, bench, calibration, torque
+from rigs import BAUD, HOME, MODEL, calibration, emulated_rig, torque
 
 from softmap_edge import _core
 from softmap_edge.cli import main
@@ -46,7 +46,7 @@ def remedy(line):
 @pytest.mark.parametrize("register", LEFT)
 def test_what_another_program_left_is_refused_and_the_command_named_mends_it(register):
     value, said = LEFT[register]
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         leave(bus.path, BAUD, **{register: value})
         with pytest.raises(ServoError) as fault:
             started(rig.port, rig.baud, members(rig))
@@ -60,7 +60,7 @@ def test_what_another_program_left_is_refused_and_the_command_named_mends_it(reg
 
 
 def test_all_that_differs_is_listed_with_one_command():
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         leave(bus.path, BAUD, drive_mode=1, secondary_id=9)
         leave(bus.path, BAUD, 2, homing_offset=5)
         with pytest.raises(ServoError) as fault:
@@ -76,7 +76,7 @@ def test_all_that_differs_is_listed_with_one_command():
 
 def test_a_reversed_drive_mode_is_seen_by_all_that_drive(tmp_path, capsys):
     file = str(tmp_path / "rig.toml")
-    with bench() as (bus, rig, limits):
+    with emulated_rig() as (bus, rig, limits):
         rig.write(file)
         leave(bus.path, BAUD, drive_mode=9)
         said = "servo 1: drive mode is 9, needed is 0; run `softmap servo setup"
@@ -112,7 +112,7 @@ PASSES = {
 
 @pytest.mark.parametrize("register", PASSES)
 def test_what_passes_with_the_power_is_written_again_by_a_start(register):
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         assert main(["servo", "setup", "--port", bus.path, "--baud", str(BAUD), "--id", "1"]) == 0
         kept = {SET_UP: {"servo_1": setup.gains(setup.ServoState(bus.path, BAUD, 1, 1200, 46))}}
         known = Rig(rig.port, rig.baud, rig.servos, made=kept)
@@ -130,7 +130,7 @@ def test_what_passes_with_the_power_is_written_again_by_a_start(register):
 
 
 def test_a_start_says_what_it_wrote_again():
-    with bench() as (bus, rig, limits):
+    with emulated_rig() as (bus, rig, limits):
         leave(bus.path, BAUD, 2, profile_velocity=7)
         reported = []
         with Controller(rig, calibration(), limits, tell=reported.append) as robot:
@@ -149,7 +149,7 @@ def test_a_start_says_what_it_wrote_again():
 )
 def test_what_binds_nothing_is_left_as_its_user_chose_it(values):
     """A current limit above the cap protects; gains that no rig knows are the user's own."""
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         leave(bus.path, BAUD, **values)
         assert started(rig.port, rig.baud, members(rig)) == []
         with opened(bus.path, BAUD) as port:
@@ -158,7 +158,7 @@ def test_what_binds_nothing_is_left_as_its_user_chose_it(values):
 
 
 def test_limits_are_held_against_what_is_in_force():
-    with bench() as (bus, rig, limits):
+    with emulated_rig() as (bus, rig, limits):
         leave(bus.path, BAUD, current_limit=300)
         found = members_of(rig.numbers, limits, [])
         assert "(300 mA) is below the cap (612 mA)" in refusal(examined(rig.port, rig.baud, found))
@@ -184,7 +184,7 @@ def test_each_model_as_delivered_lacks_only_what_setting_up_gives():
 
 def test_the_rig_keeps_the_gains_of_a_servo_that_was_set_up(tmp_path, capsys):
     file = tmp_path / "rig.toml"
-    with bench() as (bus, _, _):
+    with emulated_rig() as (bus, _, _):
         argv = [
             "servo",
             "setup",

@@ -3,7 +3,7 @@ before.
 """
 
 import pytest
-from rigs import bench, calibration, torque
+from rigs import calibration, emulated_rig, torque
 from waiting import hold_for, until
 
 from softmap_edge.errors import ServoError
@@ -11,7 +11,7 @@ from softmap_edge.robot.control.controller import Controller
 
 
 def test_a_finger_that_does_not_come_home_at_the_end_is_reported():
-    with bench() as (bus, rig, limits):
+    with emulated_rig() as (bus, rig, limits):
         limits["servos"] = [one | {"following": 300.0} for one in limits["servos"]]
         reported = pytest.raises(
             ServoError, match=r"in state fault \(servo 1 does not follow.*home the robot again"
@@ -24,7 +24,7 @@ def test_a_finger_that_does_not_come_home_at_the_end_is_reported():
 
 
 def test_what_ends_a_program_goes_on_as_what_it_is_with_what_the_finger_did():
-    with bench() as (bus, rig, limits):
+    with emulated_rig() as (bus, rig, limits):
         limits["servos"] = [one | {"following": 300.0} for one in limits["servos"]]
         with pytest.raises(LookupError) as ended, Controller(rig, calibration(), limits) as robot:
             robot.engage()
@@ -35,7 +35,7 @@ def test_what_ends_a_program_goes_on_as_what_it_is_with_what_the_finger_did():
 
 
 def test_a_fault_that_its_program_has_seen_is_not_reported_again():
-    with bench() as (bus, rig, limits):
+    with emulated_rig() as (bus, rig, limits):
         with Controller(rig, calibration(), limits) as robot:
             robot.engage()
             hold_for(robot, [1.0, 0.0], 0.5)

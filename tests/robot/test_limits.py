@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigs import BAUD, HOME, MODEL, angles, bench, calibration, torque
+from rigs import BAUD, HOME, MODEL, angles, calibration, emulated_rig, torque
 from waiting import hold_for
 
 from softmap_edge import _core
@@ -111,7 +111,7 @@ def test_the_ceiling_stands_in_place_of_the_defaults_and_a_bundle_only_tightens_
 @pytest.mark.parametrize(
     "ceiling, ticks", [((), 720.0), ((("slew", 900.0),), 400.0), ((("following", 300.0),), 300.0)]
 )
-def test_a_servo_may_be_as_late_as_the_trunks_were_at_its_speed_unless_the_bench_says_otherwise(
+def test_a_servo_may_be_as_late_as_the_trunks_were_at_its_speed_unless_the_rig_says_otherwise(
     ceiling, ticks
 ):
     found = effective_limits(rig(ceiling), FINGER, turned(np.eye(2) / 280.0))
@@ -174,7 +174,7 @@ def test_all_servos_at_once_stay_inside_the_window_and_the_rates_of_the_finger()
             )
 
 
-def test_the_calibrations_window_and_the_turns_of_a_bench_count():
+def test_the_calibrations_window_and_the_turns_of_a_rig_count():
     narrow = turned(np.eye(2) / 280.0, window=(-500.0, 700.0))
     found = effective_limits(rig(), FINGER, narrow)
     assert (limit(found, "low").value, limit(found, "high").value) == (-500, 700)
@@ -252,7 +252,7 @@ def test_dead_band_and_reversals_are_limits_like_the_others():
             loop_limits([one], **changes)
         with pytest.raises(ServoError, match=said):  # the guard's own check, for any table
             _core.check_limits(loop_limits([one]) | changes)
-    with bench() as (_, rig, limits), pytest.raises(ServoError, match="'band' is missing"):
+    with emulated_rig() as (_, rig, limits), pytest.raises(ServoError, match="'band' is missing"):
         Controller(
             rig, calibration(), {name: value for name, value in limits.items() if name != "band"}
         )
@@ -432,7 +432,7 @@ def test_the_loop_keeps_to_the_limits_of_the_finger():
     """Through the process: a window, a slew and a hold that only safety.toml asks for."""
     safety = replace(FINGER.safety, high=(0.8, 16.0), hold=0.3)
     finger = replace(FINGER, safety=safety, calibration=calibration())
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         rig = replace(rig, ceiling=Ceiling((("current_mA", 500.0),)))
         found = effective_limits(
             rig, replace(finger, safety=replace(safety, tension=None)), rate=200.0

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from command import interruptible
 from emulated_robot import emulated
-from rigs import bench, calibration
+from rigs import calibration, emulated_rig
 from waiting import until
 
 from softmap_edge import builtin_model, load_bundle
@@ -48,7 +48,7 @@ def drive(rig, limits, made, file, seconds):
 
 def test_a_growing_recording_is_followed_to_its_last_period(tmp_path):
     file, periods = tmp_path / "loop.mcap", []
-    with bench() as (_, rig, limits):
+    with emulated_rig() as (_, rig, limits):
         thread = threading.Thread(target=drive, args=(rig, limits, calibration(), file, 1.5))
         thread.start()
         until(file.exists)
@@ -66,7 +66,7 @@ def test_a_growing_recording_is_followed_to_its_last_period(tmp_path):
 
 def test_any_cut_gives_what_is_complete_and_damage_is_reported(tmp_path):
     file = tmp_path / "loop.mcap"
-    with bench() as (_, rig, limits):
+    with emulated_rig() as (_, rig, limits):
         drive(rig, limits, calibration(), file, 0.3)
     whole, content = read_recording(file).periods, file.read_bytes()
     rng = np.random.default_rng(0)

@@ -16,7 +16,7 @@ from dataclasses import replace
 import pytest
 from command import SOFTMAP
 from emulated_robot import emulated
-from rigs import HOME, TICKS_PER_MM, angles, bench, calibration, torque
+from rigs import HOME, TICKS_PER_MM, angles, calibration, emulated_rig, torque
 from waiting import until
 
 from softmap_edge import builtin_model, save_bundle
@@ -35,7 +35,7 @@ from softmap_edge.robot.servo.terminal import named
 
 
 def test_a_jog_goes_where_it_is_sent_slowly_and_weakly():
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         with Jog(rig) as jog:
             assert not torque(bus), "torque comes with the first press"
             begun = time.monotonic()
@@ -56,7 +56,7 @@ def test_a_jog_goes_where_it_is_sent_slowly_and_weakly():
 
 
 def test_a_ceiling_about_a_confirmed_home_is_kept():
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         tight = replace(rig, servos=tuple(replace(one, low=-100, high=50) for one in rig.servos))
         with Jog(tight) as jog:
             assert jog.by(0, 200, Held()) == pytest.approx(50, abs=4)
@@ -84,8 +84,8 @@ CEILING = {
 }
 
 
-def test_whatever_the_bench_allows_binds_a_jog():
-    with bench() as (bus, rig, _):
+def test_whatever_the_rig_allows_binds_a_jog():
+    with emulated_rig() as (bus, rig, _):
         tight = replace(rig, ceiling=Ceiling(tuple(CEILING.items())))
         slow = tuple(
             replace(one, slew=50.0, acceleration=800.0, current_mA=30.0, low=-20)
@@ -142,13 +142,13 @@ class LetGo(Held):
 @pytest.mark.parametrize("name", ["travel", "slew", "current"])
 @pytest.mark.parametrize("value", [-5.0, float("nan"), float("inf"), 1e9, "far"])
 def test_a_limit_of_a_jog_that_is_none_is_refused(name, value):
-    with bench() as (_, rig, _), pytest.raises(ServoError, match=f"jog_{name}"):
+    with emulated_rig() as (_, rig, _), pytest.raises(ServoError, match=f"jog_{name}"):
         Jog(rig, **{name: value})
 
 
 @pytest.mark.parametrize("value", ["-5", "0", "0.5", "nan", "inf", "1e9", "'300'", "true", "[300]"])
-def test_a_travel_of_the_bench_that_is_none_is_refused(tmp_path, value):
-    with bench() as (_, rig, _):
+def test_a_travel_of_the_rig_that_is_none_is_refused(tmp_path, value):
+    with emulated_rig() as (_, rig, _):
         rig.write(tmp_path / "rig.toml")
     text = (tmp_path / "rig.toml").read_text()
     (tmp_path / "rig.toml").write_text(f"{text}\n[ceiling]\njog_travel = {value}\n")
@@ -168,7 +168,7 @@ def test_a_travel_of_the_bench_that_is_none_is_refused(tmp_path, value):
     ],
 )
 def test_a_jog_of_no_servo_or_no_number_is_refused_and_nothing_moves(servo, ticks, said):
-    with bench() as (bus, rig, _), Jog(rig) as jog:
+    with emulated_rig() as (bus, rig, _), Jog(rig) as jog:
         for move in (lambda: jog.press(servo, ticks), lambda: jog.by(servo, ticks, Held())):
             with pytest.raises(ServoError, match=said):
                 move()
@@ -176,7 +176,7 @@ def test_a_jog_of_no_servo_or_no_number_is_refused_and_nothing_moves(servo, tick
 
 
 def test_who_lets_go_stops_it():
-    with bench() as (bus, rig, _), Jog(rig) as jog:
+    with emulated_rig() as (bus, rig, _), Jog(rig) as jog:
         jog.by(0, 300, LetGo(0.5))
         at = angles(bus)[0]
         assert HOME < at < HOME + 250
@@ -185,7 +185,7 @@ def test_who_lets_go_stops_it():
 
 
 def test_a_fault_ends_a_jog_with_its_reason():
-    with bench() as (bus, rig, _), Jog(rig) as jog:
+    with emulated_rig() as (bus, rig, _), Jog(rig) as jog:
         jog.by(0, 60, Held())
         bus.fail(0, 0x20)
         with pytest.raises(ServoError, match="hardware"):
@@ -195,7 +195,7 @@ def test_a_fault_ends_a_jog_with_its_reason():
 
 
 def test_one_jog_by_options(tmp_path, capsys):
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         file = str(tmp_path / "rig.toml")
         rig.write(file)
         assert (
@@ -300,7 +300,7 @@ def test_held_keys_jog_and_escape_stops(terminal):
 
 
 def test_a_tap_is_one_step(terminal, tmp_path):
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         rig.write(tmp_path / "rig.toml")
         with jogging(terminal, "--rig", str(tmp_path / "rig.toml")) as process:
             for k in (1, 2):
@@ -315,7 +315,7 @@ def test_a_tap_is_one_step(terminal, tmp_path):
 def test_between_a_press_and_its_repetitions_torque_stays_on(terminal, tmp_path):
     """A machine that is busy for long lets go rightly: of some tries one must do."""
     came = []
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         rig.write(tmp_path / "rig.toml")
         with jogging(terminal, "--rig", str(tmp_path / "rig.toml")) as process:
             for key in (RIGHT, b"\x1b[D") * 3:
@@ -368,7 +368,7 @@ def test_keys_of_a_terminal(terminal, monkeypatch):
 
 
 @pytest.mark.parametrize("command", [" -15,0", "15,15"])
-def test_the_documented_bench_goes_through_its_window_at_full_speed(tmp_path, command):
+def test_the_documented_rig_goes_through_its_window_at_full_speed(tmp_path, command):
     """Its servos are 0.24 s late, as the trunk's were; a limit of `following` below that faults on
     a healthy finger.
     """
@@ -388,7 +388,7 @@ def weak(tmp_path):
     nothing faults.
     """
     save_bundle(replace(builtin_model(), calibration=calibration()), tmp_path / "finger")
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         servos = tuple(replace(one, current_mA=60.0) for one in rig.servos)
         replace(rig, servos=servos).write(tmp_path / "rig.toml")
         yield bus, str(tmp_path / "rig.toml"), str(tmp_path / "finger")
@@ -447,7 +447,7 @@ def test_a_jog_that_is_not_reached_is_no_success(weak, capsys, by, code):
 
 
 def test_a_jog_blocked_on_its_way_is_no_success(capsys, tmp_path):
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         rig.write(tmp_path / "rig.toml")
         bus.damage(0, jammed=True)
         assert (
@@ -473,7 +473,7 @@ def test_a_jog_blocked_on_its_way_is_no_success(capsys, tmp_path):
 def test_a_servo_that_does_not_turn_loses_its_proof_of_home(servo, tmp_path, capsys):
     """Its encoder may stand while the horn turns; at rest nothing shows that."""
     file = str(tmp_path / "rig.toml")
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         rig.write(file)
         bus.damage(servo, stuck=True)
         assert (
@@ -496,7 +496,7 @@ def test_a_servo_that_does_not_turn_loses_its_proof_of_home(servo, tmp_path, cap
 
 
 def test_a_fault_of_a_jog_takes_the_proof_of_home_away():
-    with bench(load=[]) as (bus, rig, _):
+    with emulated_rig(load=[]) as (bus, rig, _):
         with (
             pytest.raises(ServoError, match="guard ended the jog.*run the same command again"),
             Jog(rig) as jog,
@@ -512,7 +512,7 @@ def test_a_fault_of_a_jog_takes_the_proof_of_home_away():
 
 def test_a_jog_that_its_window_ends_is_off_its_goal(tmp_path, capsys):
     file = str(tmp_path / "rig.toml")
-    with bench() as (_, rig, _):
+    with emulated_rig() as (_, rig, _):
         replace(rig, servos=tuple(replace(one, low=-100, high=50) for one in rig.servos)).write(
             file
         )
@@ -530,7 +530,7 @@ def test_a_fault_at_the_command_line_says_what_to_type(tmp_path, capsys):
     """
     file, finger = str(tmp_path / "rig.toml"), str(tmp_path / "finger")
     save_bundle(replace(builtin_model(), calibration=calibration()), finger)
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         rig.write(file)
         threading.Timer(2.0, lambda: bus.heat(0, 69.0)).start()
         assert (

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rigs import bench, calibration, torque
+from rigs import calibration, emulated_rig, torque
 from waiting import hold_for, until
 
 from softmap_edge.cli import main
@@ -47,7 +47,7 @@ def program(bus, text, hold):
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
 def test_a_program_that_sleeps_releases_the_servos_of_a_loop_that_dies_or_freezes(how):
-    with bench() as (bus, rig, limits), Controller(rig, calibration(), limits) as robot:
+    with emulated_rig() as (bus, rig, limits), Controller(rig, calibration(), limits) as robot:
         robot.engage()
         hold_for(robot, [1.0, -1.0], 0.4)
         os.kill(robot._process.pid, how)
@@ -77,14 +77,14 @@ def test_a_program_that_was_frozen_itself_does_not_end_a_loop_that_is_well():
         os.kill(os.getpid(), signal.SIGSTOP)
     print(robot.state, robot.report.get("rescued"))
 """
-    with bench() as (bus, _, _):
+    with emulated_rig() as (bus, _, _):
         argv = program(bus, text, hold=5.0)
         done = subprocess.run(argv, capture_output=True, text=True, timeout=60)
         assert done.returncode == 0 and done.stdout.split()[1] == "None", done
 
 
 def test_a_rescue_says_which_servo_kept_its_torque():
-    with bench(late=0.5, silent=1.0, stale=0.5) as (bus, rig, limits):
+    with emulated_rig(late=0.5, silent=1.0, stale=0.5) as (bus, rig, limits):
         said = pytest.raises(
             ServoError, match="servo 1 did not confirm that its torque is off; cut its supply"
         )
@@ -101,7 +101,7 @@ def test_a_rescue_says_which_servo_kept_its_torque():
 
 
 def test_a_servo_that_does_not_hear_at_the_end_is_named(tmp_path, capsys):
-    with bench() as (bus, rig, limits):
+    with emulated_rig() as (bus, rig, limits):
         said = pytest.raises(
             ServoError, match="in state fault .*; servo 2 did not confirm that its torque is off"
         )
@@ -130,7 +130,7 @@ def test_a_child_of_the_program_does_not_hold_the_port():
         robot.target([1.0, -1.0])
         time.sleep(0.02)
 """
-    with bench() as (bus, rig, limits):
+    with emulated_rig() as (bus, rig, limits):
         user = subprocess.Popen(program(bus, text, hold=0.4), stdout=subprocess.PIPE)
         try:
             child = int(user.stdout.readline())
@@ -158,7 +158,7 @@ def starts(rig, limits):
 
 
 def test_what_is_no_command_is_one_line_and_what_is_not_finite_will_not_be_done():
-    with bench() as (_, rig, limits), Controller(rig, calibration(), limits) as robot:
+    with emulated_rig() as (_, rig, limits), Controller(rig, calibration(), limits) as robot:
         robot.engage([1.0, 0.0])
         for bad in (
             "ab",
@@ -177,7 +177,7 @@ def test_what_is_no_command_is_one_line_and_what_is_not_finite_will_not_be_done(
 
 
 def test_a_lost_answer_in_the_last_report_is_no_place():
-    with bench() as (_, rig, limits), Controller(rig, calibration(), limits) as robot:
+    with emulated_rig() as (_, rig, limits), Controller(rig, calibration(), limits) as robot:
         time.sleep(0.1)
         at = robot.position
         robot._hear({"position": [None, 5]})

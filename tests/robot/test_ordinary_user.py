@@ -5,13 +5,13 @@ not.
 import os
 
 from ordinary_user import as_ordinary_user, said
-from rigs import BAUD, bench
+from rigs import BAUD, emulated_rig
 
 from softmap_edge import _core
 
 
 def test_no_permission_says_which_group_to_join():
-    with bench() as (bus, _, _):
+    with emulated_rig() as (bus, _, _):
         os.chmod(bus.path, 0o000)
         line = as_ordinary_user(lambda: _core.ServoBus(bus.path, BAUD))
         assert line.startswith(f"{bus.path}: no permission") and "usermod -aG dialout" in line
@@ -20,7 +20,7 @@ def test_no_permission_says_which_group_to_join():
 
 
 def test_a_busy_port_is_no_other_user_s():
-    with bench() as (bus, _, _):
+    with emulated_rig() as (bus, _, _):
         os.chmod(bus.path, 0o666)
         first = _core.ServoBus(bus.path, BAUD)
         line = as_ordinary_user(lambda: _core.ServoBus(bus.path, BAUD))

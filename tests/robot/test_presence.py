@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pytest
 from other_program import leave
-from rigs import BAUD, NUMBER, bench, calibration
+from rigs import BAUD, NUMBER, calibration, emulated_rig
 
 from softmap_edge import _core, builtin_model, save_bundle
 from softmap_edge.cli import main
@@ -66,7 +66,7 @@ def test_answers_that_lie_over_one_another_are_named(capsys, delays, said):
 
 def test_an_id_that_is_answered_twice_is_named_by_scan_setup_and_start(capsys, tmp_path):
     """A servo as delivered answers 0.5 ms later than one that was set up: both are read."""
-    with bench() as (bus, rig, limits):
+    with emulated_rig() as (bus, rig, limits):
         leave(bus.path, BAUD, 2, return_delay_time=250)
         rig.write(tmp_path / "rig.toml")
         bus.rename(1, 1)
@@ -106,7 +106,7 @@ def test_another_servo_next_to_two_that_share_an_id_is_still_found():
 
 @pytest.mark.parametrize("fault", [{"junk": 0.3}, {"damage": 0.1}, {"drop": 0.3}, {"slow": 0.0005}])
 def test_a_disturbed_bus_is_no_second_servo(fault):
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         bus.faults(**fault)
         for _ in range(2):
             assert not [one for one in listened(bus.path, BAUD).remarks if "share" in one]
@@ -115,7 +115,7 @@ def test_a_disturbed_bus_is_no_second_servo(fault):
 
 def test_a_servo_that_answers_pings_only_is_named_and_set_up(tmp_path, capsys):
     file = str(tmp_path / "rig.toml")
-    with bench() as (bus, rig, limits):
+    with emulated_rig() as (bus, rig, limits):
         rig.write(file)
         leave(bus.path, BAUD, status_return_level=0)
         said = "servo 1 answers pings only: its status return level is 0; run `softmap servo setup"
@@ -142,7 +142,7 @@ def test_a_servo_that_answers_pings_only_is_named_and_set_up(tmp_path, capsys):
 
 
 def test_silence_of_a_servo_names_it_wherever_a_register_is_asked():
-    with bench() as (bus, rig, _), opened(rig.port, rig.baud) as port:
+    with emulated_rig() as (bus, rig, _), opened(rig.port, rig.baud) as port:
         bus.damage(1, mute=True)
         with pytest.raises(NoAnswer, match="servo 2: no answer; check power and wiring"):
             heard(port, 2, 64, 1)
@@ -153,7 +153,7 @@ def test_a_wrong_rate_is_named_with_the_command_that_mends_it(baud, tmp_path, ca
     file = str(tmp_path / "rig.toml")
     servos = [(1, NUMBER, baud, 500.0)]
     bus = _core.EmulatedBus(servos, [[]], seed=1)
-    with bench() as (_, rig, _):
+    with emulated_rig() as (_, rig, _):
         pass
     rig = type(rig)(bus.path, BAUD, rig.servos[:1])
     rig.write(file)
@@ -176,7 +176,7 @@ def test_a_wrong_rate_is_named_with_the_command_that_mends_it(baud, tmp_path, ca
 
 def test_an_id_that_changed_is_named_with_the_command_that_mends_it(tmp_path):
     file = str(tmp_path / "rig.toml")
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         rig.write(file)
         bus.rename(0, 9)
         line = refusal(examined(rig.port, rig.baud, members(rig)))
@@ -190,7 +190,7 @@ def test_an_id_that_changed_is_named_with_the_command_that_mends_it(tmp_path):
 
 
 def test_what_is_gone_is_gone():
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         bus.damage(0, mute=True)
         said = (
             "no answer at .*; check power and wiring, `softmap servo scan --port .*` lists who "
@@ -203,7 +203,7 @@ def test_what_is_gone_is_gone():
 
 def test_scan_and_read_look_for_the_servos_of_a_rig(tmp_path, capsys):
     file = str(tmp_path / "rig.toml")
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         rig.write(file)
         assert (
             main(["servo", "scan", "--rig", file]) == 0
@@ -228,7 +228,7 @@ def test_the_doctor_holds_a_current_limit_against_the_limits_in_force(tmp_path):
     """A limit below the usual cap and above that of the finger protects, and is no fault."""
     model = replace(builtin_model(), calibration=calibration())
     save_bundle(model, tmp_path / "finger")
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         rig.write(tmp_path / "rig.toml")
         cap = int(effective_limits(rig, model).table()["servos"][0]["current"])
         for limit, states in ((cap + 50, ["ok"]), (cap - 50, ["fault"])):
@@ -253,7 +253,7 @@ def test_why_a_servo_answers_no_reads_is_found_once(ask, tmp_path, monkeypatch, 
     monkeypatch.setattr(
         presence, "_silent_reads", lambda bus, id: count.append(id) or real(bus, id)
     )
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         rig.write(tmp_path / "rig.toml")
         leave(bus.path, BAUD, status_return_level=0)
         ask(rig, str(tmp_path / "rig.toml"))

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from rigs import BAUD, HOME, MODEL, bench, calibration, torque
+from rigs import BAUD, HOME, MODEL, calibration, emulated_rig, torque
 
 from softmap_edge.cli import main
 from softmap_edge.commands.progress import Bar
@@ -30,7 +30,7 @@ QUICK = Ceiling((("jog_slew", 800.0), ("low", -250.0), ("high", 300.0)))
 def folder(tmp_path):
     """Give an emulated bus, its rig's file and a bundle; its load is 0.4 mA a tick."""
     save_bundle(FINGER, tmp_path / "finger")
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         replace(rig, ceiling=QUICK).write(tmp_path / "rig.toml")
         yield bus, tmp_path / "rig.toml", tmp_path / "finger"
         assert not torque(bus)
@@ -82,7 +82,7 @@ def test_the_current_at_the_stroke_becomes_the_ceiling(folder, capsys):
     assert limits["current"].value <= rig.servos[0].current_mA, "and it is in force"
 
 
-def test_what_the_bench_allows_a_servo_binds_its_pull(folder, brief, capsys):
+def test_what_the_rig_allows_a_servo_binds_its_pull(folder, brief, capsys):
     _, file, bundle = folder
     rig = read_rig(file)
     replace(rig, servos=(replace(rig.servos[0], current_mA=30.0), rig.servos[1])).write(file)
@@ -134,7 +134,7 @@ class LetsGo(Held):
 
 
 def test_who_stops_it_gets_no_ceiling():
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         with pytest.raises(ServoError, match="stopped before its end"):
             pull(effective_limits(replace(rig, ceiling=QUICK), FINGER), LetsGo())
         assert not torque(bus)
@@ -154,7 +154,7 @@ def test_a_servo_without_current_and_a_stroke_beyond_a_move_are_refused():
 
 def test_a_servo_that_is_silent_of_its_current_is_reported(monkeypatch):
     monkeypatch.setattr(Jog, "current", np.full(2, np.nan))
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         with pytest.raises(ServoError, match="servo 1 says nothing of its current"):
             pull(effective_limits(replace(rig, ceiling=QUICK), FINGER), Held())
         assert not torque(bus)

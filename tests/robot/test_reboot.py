@@ -6,7 +6,7 @@ import json
 import re
 
 import pytest
-from rigs import BAUD, bench, calibration, torque
+from rigs import BAUD, calibration, emulated_rig, torque
 from waiting import until
 
 from softmap_edge.cli import main
@@ -31,7 +31,7 @@ ERRORS = {
 @pytest.mark.parametrize("bits", ERRORS)
 def test_each_error_is_named_before_it_starts_and_restarted(bits, tmp_path, capsys):
     file = str(tmp_path / "rig.toml")
-    with bench() as (bus, rig, limits):
+    with emulated_rig() as (bus, rig, limits):
         rig.write(file)
         bus.fail(1, bits)
         with pytest.raises(ServoError) as fault:
@@ -54,7 +54,7 @@ def test_each_error_is_named_before_it_starts_and_restarted(bits, tmp_path, caps
 
 
 def test_an_error_while_it_drives_names_servo_error_and_the_way_on():
-    with bench() as (bus, rig, limits):
+    with emulated_rig() as (bus, rig, limits):
         renamed = type(rig)(rig.port, rig.baud, rig.servos)
         with (
             pytest.raises(ServoError) as fault,
@@ -100,7 +100,7 @@ def test_what_is_denied_for_an_error_names_it():
 
 def test_nothing_is_restarted_while_a_loop_drives(tmp_path, capsys):
     file = str(tmp_path / "rig.toml")
-    with bench() as (bus, rig, limits):
+    with emulated_rig() as (bus, rig, limits):
         rig.write(file)
         with Controller(rig, calibration(), limits) as robot:
             robot.engage([0.2, 0.0])
@@ -111,7 +111,7 @@ def test_nothing_is_restarted_while_a_loop_drives(tmp_path, capsys):
 
 def test_torque_goes_off_first_and_a_cause_that_stays_is_reported(tmp_path, capsys):
     file = str(tmp_path / "rig.toml")
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         rig.write(file)
         with opened(rig.port, rig.baud) as port:
             port.write(2, 64, b"\x01")
@@ -133,14 +133,14 @@ def test_torque_goes_off_first_and_a_cause_that_stays_is_reported(tmp_path, caps
     ],
 )
 def test_what_is_no_servo_of_the_rig_is_refused(tmp_path, capsys, argv, said):
-    with bench() as (_, rig, _):
+    with emulated_rig() as (_, rig, _):
         rig.write(tmp_path / "rig.toml")
         assert main(["servo", "reboot", "--rig", str(tmp_path / "rig.toml"), *argv]) == 2
         assert said in capsys.readouterr().err
 
 
 def test_a_servo_that_is_not_there_is_not_restarted():
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         bus.damage(0, mute=True)
         with pytest.raises(ServoError, match="servo 1: no answer"):
             restart(rig.port, rig.baud, 1)
@@ -150,7 +150,7 @@ def test_a_servo_that_is_not_there_is_not_restarted():
 
 
 def test_the_doctor_names_the_restart(tmp_path):
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         rig.write(tmp_path / "rig.toml")
         bus.fail(0, 0x21)
         lines = [

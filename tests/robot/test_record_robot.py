@@ -37,7 +37,7 @@ from softmap_edge.robot.drive.pace import (
     view_still,
 )
 from softmap_edge.robot.drive.player import Player, merged
-from softmap_edge.robot.emulated.finger import emulated_bench
+from softmap_edge.robot.emulated.finger import emulated_robot
 from softmap_edge.robot.link.frames import Frame
 from softmap_edge.robot.servo.loop_limits import servo_limits
 from softmap_edge.run.protocol import Limits, Protocol
@@ -175,7 +175,7 @@ def played_once(file, made, ask, act, tell):
     """Play it once."""
     ended = None
     with (
-        emulated_bench(MODEL, replace(calibration(), window=None), rate=100.0) as (
+        emulated_robot(MODEL, replace(calibration(), window=None), rate=100.0) as (
             bus,
             rig,
             limits,

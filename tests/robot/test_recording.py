@@ -12,7 +12,7 @@ import pytest
 from mcap.exceptions import EndOfFile, McapError
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
-from rigs import HOME, TICKS_PER_MM, bench, calibration
+from rigs import HOME, TICKS_PER_MM, calibration, emulated_rig
 
 from softmap_edge import _core
 from softmap_edge.cli import main
@@ -26,7 +26,7 @@ def recorded(tmp_path_factory):
     """Record some seconds of driving with damaged answers and refused targets."""
     file = tmp_path_factory.mktemp("recording") / "drive.mcap"
     with (
-        bench(200.0) as (bus, rig, limits),
+        emulated_rig(200.0) as (bus, rig, limits),
         Controller(rig, calibration(), limits, record=file) as robot,
     ):
         robot.engage()
@@ -55,7 +55,7 @@ def test_replays_bit_for_bit(recorded):
 def test_faults_replay_bit_for_bit_and_under_the_same_limits(tmp_path):
     file = tmp_path / "faults.mcap"
     with (
-        bench(200.0, hold=0.2) as (bus, rig, limits),
+        emulated_rig(200.0, hold=0.2) as (bus, rig, limits),
         Controller(rig, calibration(), limits, record=file) as robot,
     ):
 
@@ -102,7 +102,7 @@ def test_nothing_is_recorded_over(tmp_path):
     file = tmp_path / "old.mcap"
     file.write_text("kept")
     with (
-        bench() as (_, rig, limits),
+        emulated_rig() as (_, rig, limits),
         pytest.raises(ServoError, match="old.mcap exists; give another name"),
     ):
         Controller(rig, calibration(), limits, record=file).__enter__()

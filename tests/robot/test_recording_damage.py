@@ -13,7 +13,7 @@ import pytest
 from flips import flip_bits
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
-from rigs import bench, calibration
+from rigs import calibration, emulated_rig
 
 from softmap_edge.cli import main
 from softmap_edge.errors import RecordingBroken, RecordingWarning, RunError, ServoError
@@ -40,7 +40,7 @@ def drive(robot, seconds):
 def recorded(tmp_path_factory):
     file = tmp_path_factory.mktemp("recording") / "drive.mcap"
     with (
-        bench(200.0) as (_, rig, limits),
+        emulated_rig(200.0) as (_, rig, limits),
         Controller(rig, calibration(), limits, record=file) as robot,
     ):
         drive(robot, 0.6)
@@ -231,7 +231,7 @@ def little_room():
 @contextlib.contextmanager
 def full(file):
     """Give a robot whose recording finds the disk full after some tenths of a second."""
-    with bench(200.0) as (_, rig, limits):
+    with emulated_rig(200.0) as (_, rig, limits):
         robot = Controller(rig, calibration(), limits, record=file)
         with little_room():
             robot.__enter__()
@@ -279,7 +279,7 @@ def test_close_says_it_as_well(tmp_path):
 def test_a_recording_that_is_removed_meanwhile_is_reported(tmp_path):
     file = tmp_path / "drive.mcap"
     with (
-        bench(200.0) as (_, rig, limits),
+        emulated_rig(200.0) as (_, rig, limits),
         pytest.raises(RecordingBroken, match="drive.mcap: the recording is gone"),
         Controller(rig, calibration(), limits, record=file) as robot,
     ):

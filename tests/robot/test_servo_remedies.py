@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from other_program import leave
 from remedies import commands
-from rigs import BAUD, HOME, NUMBER, bench, calibration, torque
+from rigs import BAUD, HOME, NUMBER, calibration, emulated_rig, torque
 
 from softmap_edge import _core, builtin_model, save_bundle
 from softmap_edge.cli import main
@@ -223,7 +223,7 @@ def robot(tmp_path, monkeypatch):
     for look in ("processor", "real_time", "ports", "latency", "teleoperation", "cameras"):
         monkeypatch.setattr(host, look, lambda *_: [])
     save_bundle(replace(builtin_model(), calibration=calibration()), "finger")
-    with bench(load=[]) as (bus, rig, _):
+    with emulated_rig(load=[]) as (bus, rig, _):
         rig.write("rig.toml")
         yield bus
 
@@ -277,7 +277,7 @@ def test_an_unmeasured_current_is_measured_by_the_command_named(tmp_path, monkey
     for look in ("processor", "real_time", "ports", "latency", "teleoperation", "cameras"):
         monkeypatch.setattr(host, look, lambda *_: [])
     save_bundle(replace(builtin_model(), calibration=calibration()), "finger")
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         rig.write("rig.toml")
         changed(low=-150, high=150)(bus)
         argv = ["servo", "doctor", "--rig", "rig.toml", "--bundle", "finger"]

@@ -14,7 +14,7 @@ from types import SimpleNamespace
 
 import pytest
 from command import SOFTMAP
-from rigs import bench, calibration, torque
+from rigs import calibration, emulated_rig, torque
 
 from softmap_edge import _core
 from softmap_edge.cli import main
@@ -185,7 +185,7 @@ def test_what_setup_mends_is_reported(fresh, capsys):
 
 
 def test_one_servo_at_a_time_is_set_up(capsys, tmp_path):
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         assert main(["servo", "setup", "--port", bus.path, "--baud", "1000000"]) == 2
         assert (
             "2 servos answer (ids 1, 2); connect one at a time, or say which with --id"
@@ -215,7 +215,7 @@ def test_a_servo_without_current_is_driven_in_extended_position():
 
 
 def test_torque_goes_off_however_it_was_left_on(capsys, tmp_path):
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         ours = _core.ServoBus(bus.path, rig.baud)
         for id in (1, 2):
             ours.write(id, 64, b"\x01")
@@ -250,7 +250,7 @@ def test_ports_are_listed_once_by_their_lasting_name(tmp_path):
     assert ports(tmp_path) == [str(tmp_path / "serial/by-id/usb-FTDI"), str(tmp_path / "ttyACM1")]
 
 
-def test_an_emulated_bench_takes_faults_from_standard_input(tmp_path):
+def test_an_emulated_rig_takes_faults_from_standard_input(tmp_path):
     rig = tmp_path / "rig.toml"
     argv = [SOFTMAP, "servo", "emulate", "--rig", str(rig), "--json"]
     with subprocess.Popen(
@@ -280,7 +280,10 @@ def test_an_emulated_bench_takes_faults_from_standard_input(tmp_path):
 
 def test_a_recording_is_decided_again_and_written_as_a_run(tmp_path, capsys):
     file, out = tmp_path / "drive.mcap", tmp_path / "drive.npz"
-    with bench() as (_, rig, limits), Controller(rig, calibration(), limits, record=file) as robot:
+    with (
+        emulated_rig() as (_, rig, limits),
+        Controller(rig, calibration(), limits, record=file) as robot,
+    ):
         robot.engage([0.5, 0.0])
     code, document = said(capsys, "replay", str(file), "--run", str(out))
     assert code == 0 and document["otherwise"] == [] and document["periods"] > 5
@@ -302,9 +305,9 @@ def test_a_recording_is_decided_again_and_written_as_a_run(tmp_path, capsys):
     assert "holds no periods of a control loop" in capsys.readouterr().err
 
 
-def test_a_servo_of_another_rate_than_its_bench_is_left_as_it_is(tmp_path, capsys):
+def test_a_servo_of_another_rate_than_its_rig_is_left_as_it_is(tmp_path, capsys):
     rig = tmp_path / "rig.toml"
-    with bench() as (bus, there, _):
+    with emulated_rig() as (bus, there, _):
         there.write(rig)
         before = rig.read_text()
         argv = [
@@ -339,7 +342,7 @@ def test_a_rate_that_no_port_has_is_refused(fresh, capsys):
     assert "--seed 99999999999999999999999; 0 to" in capsys.readouterr().err
 
 
-def test_an_emulator_replaces_no_bench_but_its_own(tmp_path, monkeypatch, capsys):
+def test_an_emulator_replaces_no_rig_but_its_own(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("sys.stdin", io.StringIO())
     rig = tmp_path / "rig.toml"
     argv = ["servo", "emulate", "--servos", "1", "--rig", str(rig)]

@@ -130,7 +130,7 @@ def test_each_reader_is_named_what_they_have(state, cause):
     assert typed.endswith("run the same command again")
     assert not re.search(r"acknowledge|engage|Controller|\(\)", typed), typed
     assert ("servo home" in typed) == ("servo home" in words.onward(report))
-    assert "softmap servo home" not in words.onward(report, terminal=True, bench=False)
+    assert "softmap servo home" not in words.onward(report, terminal=True, has_rig=False)
     for name in re.findall(r'request\("(\w+)"\)', words.onward(report)):
         assert name in REQUESTS
 

@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
-from rigs import bench, calibration, torque
+from rigs import calibration, emulated_rig, torque
 
 from softmap_edge.errors import SessionWarning
 from softmap_edge.robot.control import session_mark
@@ -55,7 +55,7 @@ def left(marks, **changes):
 
 
 def test_the_start_after_a_killed_program_says_so(marks, tmp_path):
-    with bench(200.0) as (bus, rig, limits):
+    with emulated_rig(200.0) as (bus, rig, limits):
         record = tmp_path / "killed.mcap"
         words = [sys.executable, "-c", PROGRAM, rig.port, str(record)]
         path = os.pathsep.join(
@@ -87,7 +87,7 @@ def test_the_start_after_a_killed_program_says_so(marks, tmp_path):
 
 
 def test_a_loop_that_is_killed_is_reported_at_once_and_not_again(marks):
-    with bench(200.0) as (_, rig, limits):
+    with emulated_rig(200.0) as (_, rig, limits):
         robot = Controller(rig, calibration(), limits)
         robot.__enter__()
         robot._process.kill()
@@ -135,7 +135,7 @@ def test_a_mark_that_is_damaged_stops_no_start(marks, text):
 
 def test_emulated_robots_have_no_mark(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    with bench(200.0) as (_, rig, limits), Controller(rig, calibration(), limits):
+    with emulated_rig(200.0) as (_, rig, limits), Controller(rig, calibration(), limits):
         assert not list(tmp_path.iterdir())
 
 

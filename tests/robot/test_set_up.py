@@ -4,7 +4,7 @@ servo.
 
 import pytest
 from other_program import leave
-from rigs import BAUD, HOME, MODEL, NUMBER, bench
+from rigs import BAUD, HOME, MODEL, NUMBER, emulated_rig
 
 from softmap_edge import _core
 from softmap_edge.cli import main
@@ -88,7 +88,7 @@ def test_an_id_that_the_rig_lists_for_another_servo_is_refused_before_anything_c
 
 
 def test_a_servo_that_obeys_the_old_id_too_is_found_before_both_are_renamed(capsys):
-    with bench() as (bus, _, _):
+    with emulated_rig() as (bus, _, _):
         leave(bus.path, BAUD, 2, secondary_id=1)
         argv = ["servo", "setup", "--port", bus.path, "--baud", str(BAUD), "--id"]
         assert main([*argv, "1", "--new-id", "7"]) == 2
@@ -152,7 +152,7 @@ def test_a_servo_that_does_not_answer_is_not_set_up():
 
 def test_the_command_that_is_named_leads_out_whatever_the_rig_allows():
     """A rig that allows more than usual finds a limit too low that the usual cap would pass."""
-    with bench() as (bus, rig, _):
+    with emulated_rig() as (bus, rig, _):
         strong = Rig(
             rig.port, rig.baud, (RigServo(1, MODEL, HOME, current_mA=1500.0), rig.servos[1])
         )

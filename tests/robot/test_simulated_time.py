@@ -23,7 +23,7 @@ from softmap_edge.errors import ServoError
 from softmap_edge.robot.control.controller import Controller
 from softmap_edge.robot.control.recording import read_recording
 from softmap_edge.robot.drive.command_file import write_commands
-from softmap_edge.robot.emulated.finger import emulated_bench
+from softmap_edge.robot.emulated.finger import emulated_robot
 from softmap_edge.robot.motion.kinematics import Kinematics
 from softmap_edge.robot.servo import clock
 from softmap_edge.robot.servo.clock import BUSY
@@ -68,7 +68,7 @@ def load(processes=4):
 def driven(time="stepped", record=None):
     """Give a simulated robot that is entered."""
     with (
-        emulated_bench(MODEL, calibration(), rate=100.0, time=time) as (bus, rig, limits, finger),
+        emulated_robot(MODEL, calibration(), rate=100.0, time=time) as (bus, rig, limits, finger),
         Controller(
             rig, calibration(), limits, kinematics=Kinematics(MODEL), record=record
         ) as robot,

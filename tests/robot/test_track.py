@@ -28,7 +28,7 @@ from softmap_edge.robot.control.controller import Controller
 from softmap_edge.robot.control.recording import read_recording
 from softmap_edge.robot.drive.response import fit_response, response_of
 from softmap_edge.robot.drive.track import _Feedback, course, track
-from softmap_edge.robot.emulated.finger import ANSWER, emulated_bench, hidden_laws
+from softmap_edge.robot.emulated.finger import ANSWER, emulated_robot, hidden_laws
 from softmap_edge.robot.link.frames import Frame
 from softmap_edge.robot.link.points import PointReceiver, PointSender
 from softmap_edge.robot.motion.kinematics import Kinematics
@@ -96,7 +96,7 @@ def tracked(model, laws, folder, name, observe=False):
     made = course(kinematics, "S", amplitude=8.0, duration=12.0, rate=50.0, **LIMITS)
     record = folder / f"{name}.mcap"
     with (
-        emulated_bench(model, MAP, laws, rate=100.0) as (_, rig, limits, finger),
+        emulated_robot(model, MAP, laws, rate=100.0) as (_, rig, limits, finger),
         Controller(rig, MAP, limits, kinematics=kinematics, record=record) as robot,
     ):
         reported = track(robot, kinematics, made, finger.seen, observe=observe)
@@ -242,7 +242,7 @@ def test_a_computer_that_takes_long_to_work_out_the_answer_of_the_servos_drives_
     kinematics = Kinematics(model, axes="xy")
     made = course(kinematics, "O", amplitude=3.0, duration=2.0, rate=20.0, **LIMITS)
     with (
-        emulated_bench(model, MAP, rate=100.0) as (_, rig, limits, finger),
+        emulated_robot(model, MAP, rate=100.0) as (_, rig, limits, finger),
         Controller(rig, MAP, limits, kinematics=kinematics, record=tmp_path / "r.mcap") as robot,
     ):
         reported = track(robot, kinematics, made, finger.seen)
@@ -302,7 +302,7 @@ def test_feedback_without_a_camera_and_tracking_without_a_record_are_refused(mod
     kinematics = Kinematics(model, axes="xy")
     made = course(kinematics, "O", amplitude=5.0, duration=2.0, rate=20.0, **LIMITS)
     with (
-        emulated_bench(model, MAP) as (_, rig, limits, finger),
+        emulated_robot(model, MAP) as (_, rig, limits, finger),
         Controller(rig, MAP, limits) as robot,
         pytest.raises(SoftmapError, match="records"),
     ):
@@ -347,7 +347,7 @@ def test_a_camera_that_goes_and_comes_while_a_figure_is_tracked(model, tmp_path,
     ]
     argv += ["--camera", f"udp://:{port}", "--duration", "12", "--amplitude", "3", "--json"]
     with (
-        emulated_bench(model, calibration(), rate=100.0) as (bus, rig, _, finger),
+        emulated_robot(model, calibration(), rate=100.0) as (bus, rig, _, finger),
         PointSender("127.0.0.1", port) as sender,
         streaming(finger, [sender]),
     ):

@@ -7,7 +7,7 @@ import time
 from contextlib import contextmanager
 
 import numpy as np
-from rigs import HOME, TICKS_PER_MM, angles, bench, calibration, torque
+from rigs import HOME, TICKS_PER_MM, angles, calibration, emulated_rig, torque
 
 from softmap_edge import builtin_model
 from softmap_edge.errors import TeleopError
@@ -121,7 +121,7 @@ class Session:
         )
         kinematics = Kinematics(MODEL, axes="xy" if self.aim is TipMapping else "xyz")
         with (
-            bench(**{"hold": 0.6, **self.limits}) as (self.bus, rig, limits),
+            emulated_rig(**{"hold": 0.6, **self.limits}) as (self.bus, rig, limits),
             eyes,
             Controller(rig, calibration(), limits, kinematics=kinematics) as self.robot,
         ):

@@ -38,10 +38,10 @@ SUBSTITUTES = {
     r"mid-range": "typical strength",
     r"left unexplained": "unexplained error",
     r"stands? off": "is away from",
+    r"bench": "rig (the hardware and its file), robot (the machine)",
 }
 # only in prose: names in code keep these
 PROSE = {
-    r"bench": "rig (the hardware and its file), robot (the machine)",
     r"(?<!\|\x20)deadman": "enable key, dead-man switch",  # not the cause of that name in a table
     r"(?<!model-)form error": "model-form error",
     r"own error": "model error",

@@ -35,7 +35,7 @@ def set_up(path, ids=(1, 2), homes=(HOME, HOME)):
 
 
 @contextmanager
-def bench(rate=200.0, load=LOAD, **changes):
+def emulated_rig(rate=200.0, load=LOAD, **changes):
     """Give an emulated bus whose horns carry `load` each, its rig and its limits."""
     servos = [(id, NUMBER, BAUD, float(HOME)) for id in (1, 2)]
     bus = _core.EmulatedBus(servos, [load, load], delay=0.01, lag=0.03, seed=3)

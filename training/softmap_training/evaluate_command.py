@@ -133,7 +133,7 @@ def evaluate_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--html",
-        metavar="PAGE",
+        metavar="FILE.html",
         help="write a page of tables and pictures; pictures need softmap-edge[report]",
     )
 

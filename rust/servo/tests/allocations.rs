@@ -4,7 +4,7 @@
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
-use bench::Linear;
+use emulated_rig::Linear;
 use softmap_servo::bus::Bus;
 use softmap_servo::control::{Control, Entry, Mailbox, Orders, Record};
 use softmap_servo::emulator::Faults;
@@ -12,8 +12,8 @@ use softmap_servo::emulator::pty::Terminal;
 use softmap_servo::guard::{Guard, Limits, MOST_SERVOS, Request, State};
 use softmap_servo::serial::Serial;
 
-#[path = "../bench.rs"]
-mod bench;
+#[path = "../emulated_rig.rs"]
+mod emulated_rig;
 
 thread_local! {
     static COUNT: Cell<u64> = const { Cell::new(0) };
@@ -62,22 +62,22 @@ impl Record for Nowhere {
 
 #[test]
 fn the_tick_allocates_nothing() {
-    let terminal = Terminal::open(bench::emulator()).unwrap();
-    let serial = Serial::open(terminal.path(), bench::BAUD).unwrap();
+    let terminal = Terminal::open(emulated_rig::emulator()).unwrap();
+    let serial = Serial::open(terminal.path(), emulated_rig::BAUD).unwrap();
     // A busy computer is late, so limits that are not under test are wider.
     let mut limits = Limits {
         stale: 0.2,
         late: 0.2,
         silent: 0.3,
         grace: 0.3,
-        ..bench::limits(0.01)
+        ..emulated_rig::limits(0.01)
     };
     limits
         .axes
         .iter_mut()
         .for_each(|axis| axis.following = 400.0);
     let mut control = Control::new(
-        bench::drive(Bus::new(serial, bench::BAUD, 2_000_000)),
+        emulated_rig::drive(Bus::new(serial, emulated_rig::BAUD, 2_000_000)),
         Guard::new(limits.checked().unwrap()),
         Linear,
         Wave(0.0, None),

@@ -1,8 +1,6 @@
-"""Read a cloud that numpy saved: `.npy`, or an `.npz` archive.
+"""Read a cloud that numpy saved: `.npy`, or `.npz` with `points` or a single array of places.
 
-The archive has `points`, or one array of places of any name.
-
-Sizes in a header are compared with the bytes of the file before memory is allocated; objects are
+Sizes in a header are compared with the bytes of the file before memory is allocated. Objects are
 never read.
 """
 
@@ -28,7 +26,15 @@ _ROWS = 2000  # from which columns are decided
 
 
 def read_npy(path: Path, notes: list[str]) -> Floats:
-    """Return the points (M, 3) of an `.npy` file. Raises RegistrationError."""
+    """Return the points (M, 3) mm of an `.npy` file.
+
+    Args:
+        path: the file.
+        notes: receives a sentence for each choice of columns.
+
+    Raises:
+        RegistrationError: a damaged file, or an array that cannot be places.
+    """
     try:
         with path.open("rb") as stream:
             array = _array(stream, path.stat().st_size)
@@ -40,10 +46,14 @@ def read_npy(path: Path, notes: list[str]) -> Floats:
 
 
 def read_archive(path: Path, notes: list[str]) -> Floats:
-    """Return the points (M, 3) of an `.npz` archive: `points`, or the one array that can be places.
+    """Return the points (M, 3) mm of an `.npz`: `points`, or the one array that can be places.
+
+    Args:
+        path: the file.
+        notes: receives a sentence for each choice of an array or of columns.
 
     Raises:
-        RegistrationError: no such array, several, a damaged archive, or a run of several clouds.
+        RegistrationError: no such array or several, a damaged archive, or a run of several clouds.
     """
     arrays = _arrays(path)
     if "points" in arrays:
@@ -75,7 +85,7 @@ def _can_be_places(array: NDArray[np.generic]) -> bool:
 
 
 def _check_one(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
-    """Refuse an archive of several clouds."""
+    """Reject an archive of several clouds."""
     seen = arrays["t_seen"].size if "t_seen" in arrays else 1
     clouds = max(seen, arrays["start"].size - 1 if "start" in arrays else 1)
     if clouds > 1 and "t_seen" in arrays:
@@ -136,7 +146,7 @@ def _array(stream: IO[bytes], size: int) -> NDArray[np.generic]:
 
 
 def _points(array: NDArray[np.generic], path: Path, what: str, notes: list[str]) -> Floats:
-    """Return an array as points: its fields x, y, z, rows, pixel rows, or columns."""
+    """Return an array as points: its fields x, y, z, its rows, its pixels, or its columns."""
     if array.dtype.names:
         fields = {name.lower(): column for name, column in fields_of(array).items()}
         if not {"x", "y", "z"} <= set(fields) or any(

@@ -1,8 +1,8 @@
-"""Decide which columns of a table are x, y, z: by their names, else by their values.
+"""Find the columns x, y, z of a table by their names, or else by their values.
 
-A column that counts rows, is constant, or holds integers where others have decimals is no
-coordinate. Neither is a triple of unit vectors (normals) or of colours. The decision is returned as
-a sentence.
+A column is no coordinate if it counts rows, is constant, or holds integers while others hold
+decimals. Three columns are no places if they are unit vectors (normals) or colours. The decision is
+returned as a sentence.
 """
 
 from __future__ import annotations
@@ -48,19 +48,20 @@ _UNIT = 0.01  # by which the length of a normal may differ from 1
 
 
 def choose(names: Sequence[str], sample: Floats, label: str) -> tuple[Triple, str]:
-    """Return the columns of x, y, z, and a sentence that reports a guess ("" if names decide).
+    """Return the columns of x, y, z, and a sentence that reports a guess.
 
     Args:
-        names: names of the columns, (C,); none for a table without a header.
+        names: names of the columns, (C,); empty for a table without a header.
         sample: some rows of the table, (M, C); not finite where a cell holds no number.
         label: the file, for messages.
 
     Returns:
-        tuple[Triple, str]: three places of columns from 0, and the sentence.
+        tuple[Triple, str]: numbers of the three columns, from 0, and the sentence; "" if the names
+            decide.
 
     Raises:
-        RegistrationError: the names or values do not give one triple, or the names give a unit
-            other than mm.
+        RegistrationError: the names or values do not give exactly one triple, or the names give a
+            unit other than mm.
     """
     if not names:
         return _by_values(sample, label, "its columns have no names")
@@ -94,7 +95,7 @@ def _clean(name: str) -> str:
 
 
 def _named(names: Sequence[str], header: str, label: str) -> dict[str, Triple]:
-    """Return the complete triples of axes by their quantity; "" stands for the plain x, y, z."""
+    """Return the complete triples of axes by their quantity; "" stands for plain x, y, z."""
     found: dict[tuple[str, str], list[int]] = {}
     units: dict[str, set[str]] = {}
     for k, name in enumerate(names):
@@ -125,7 +126,7 @@ def _named(names: Sequence[str], header: str, label: str) -> dict[str, Triple]:
 def _place_of(
     triples: dict[str, Triple], sample: Floats, header: str, label: str
 ) -> tuple[str, Triple]:
-    """Return the only triple that can be places: by its name, else by its values."""
+    """Return the only triple that can be places: by its name, or else by its values."""
     by_name = [stem for stem in triples if stem in _PLACES]
     left = (
         by_name
@@ -161,9 +162,9 @@ def _by_values(sample: Floats, label: str, why: str) -> tuple[Triple, str]:
 
 
 def no_coordinates(sample: Floats) -> dict[int, str]:
-    """Return the columns of a sample (M, C) that cannot be coordinates, with the reason.
+    """Return the columns of a sample (M, C) that cannot be coordinates, each with the reason.
 
-    Three are left if possible.
+    At least three columns are left, if possible.
     """
     rows, count = sample.shape
     known = np.isfinite(sample)
@@ -192,7 +193,7 @@ def no_coordinates(sample: Floats) -> dict[int, str]:
 
 
 def _counts_up(values: Floats) -> bool:
-    """Whether values grow by one step from row to row."""
+    """Return whether values grow by one step from row to row."""
     steps = np.diff(values)
     return bool(steps[0]) and bool(np.all(np.abs(steps - steps[0]) <= 1e-6 * abs(steps[0])))
 

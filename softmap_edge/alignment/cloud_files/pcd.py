@@ -1,9 +1,7 @@
-"""Read the points of a PCD file, version 0.6 or 0.7, with any fields in any order.
+"""Read the points of a PCD file, version 0.6 or 0.7: text, binary or compressed.
 
-It is text, binary or compressed.
-
-Sizes in the header are compared with the bytes of the file before memory is allocated. The
-viewpoint is not applied.
+Any fields in any order are read. Sizes in the header are compared with the bytes of the file before
+memory is allocated. The viewpoint is not applied.
 """
 
 from __future__ import annotations
@@ -42,7 +40,7 @@ _KNOWN = (
 
 
 def is_pcd(head: bytes) -> bool:
-    """Whether a file's first bytes are those of PCD."""
+    """Return whether the first bytes of a file are those of PCD."""
     lines = (
         line.split()
         for line in head[:4000].splitlines()
@@ -53,9 +51,14 @@ def is_pcd(head: bytes) -> bool:
 
 
 def read_pcd(path: Path, notes: list[str]) -> Floats:
-    """Return the points (M, 3) of a PCD file; a guess of columns is added to `notes`.
+    """Return the points (M, 3) mm of a PCD file.
 
-    Raises RegistrationError.
+    Args:
+        path: the file.
+        notes: receives a sentence for each choice of columns.
+
+    Raises:
+        RegistrationError: a damaged file, or one without places.
     """
     try:
         with path.open("rb") as file:
@@ -97,7 +100,7 @@ def _integers(words: list[str]) -> list[int]:
 
 
 def _row(header: dict[str, list[str]]) -> np.dtype[np.void]:
-    """Return the type of one point: for each of FIELDS a field with COUNT numbers."""
+    """Return the type of one point: for each of FIELDS, a field with COUNT numbers."""
     names = header.get("FIELDS", [])
     sizes, kinds = _integers(header.get("SIZE", [])), header.get("TYPE", [])
     counts = _integers(header.get("COUNT", ["1"] * len(names)))
@@ -137,7 +140,7 @@ def _count(header: dict[str, list[str]]) -> int:
 
 
 def _first(table: NDArray[np.void]) -> list[NDArray[np.generic]]:
-    """Return the columns of a table; for a field of several numbers, only the first."""
+    """Return the columns of a table; of a field with several numbers, only the first."""
     columns = [table[name] for name in table.dtype.names or ()]
     return [column if column.ndim == 1 else column[:, 0] for column in columns]
 
@@ -173,7 +176,7 @@ def _binary(
 def _compressed(
     path: Path, file: BinaryIO, row: np.dtype[np.void], count: int
 ) -> list[NDArray[np.generic]]:
-    """Return the columns of a compressed file, which holds field after field."""
+    """Return the columns of a compressed file, which stores field after field."""
     packed, size = struct.unpack("<II", file.read(8))
     there = path.stat().st_size - file.tell()
     if packed > there or packed > _MOST_COMPRESSED:
@@ -198,7 +201,7 @@ def unpack_lzf(packed: bytes, size: int) -> bytearray:
     """Unpack `size` bytes packed by LZF (Lehmann): literal runs, and copies of earlier bytes.
 
     Raises:
-        ValueError: it ends early, copies from before its beginning, or gives another size.
+        ValueError: the data end early, copy from before their beginning, or give another size.
     """
     out, at = bytearray(), 0
     while at < len(packed) and len(out) <= size:

@@ -1,10 +1,8 @@
-"""Read the vertices of a PLY file: text or binary of both byte orders, any properties.
-
-They may be in any order.
+"""Read the vertices of a PLY file: text or binary of both byte orders, any properties in any order.
 
 Sizes in the header are compared with the bytes of the file before memory is allocated. Elements
-before the vertices are skipped, also those with lists, and so are lists among the properties of a
-vertex; elements after the vertices are not read.
+before the vertices are skipped, including those with lists. So are lists among the properties of a
+vertex. Elements after the vertices are not read.
 """
 
 from __future__ import annotations
@@ -44,9 +42,9 @@ _ROWS = 2000  # from which columns are decided
 
 @dataclass
 class _Element:
-    """A table of the file: its rows, and the types of their properties.
+    """A table of the file: its number of rows, and the types of their properties.
 
-    A list has two types: of its length and its items.
+    A list has two types: one of its length and one of its items.
     """
 
     name: str
@@ -69,9 +67,14 @@ class _Element:
 
 
 def read_ply(path: Path, notes: list[str]) -> Floats:
-    """Return the points (M, 3) of a PLY file; a guess of columns is added to `notes`.
+    """Return the points (M, 3) mm of a PLY file.
 
-    Raises RegistrationError.
+    Args:
+        path: the file.
+        notes: receives a sentence for each choice of columns.
+
+    Raises:
+        RegistrationError: a damaged file, or one without places.
     """
     try:
         with path.open("rb") as file:

@@ -1,8 +1,8 @@
-"""Read a cloud that is text: CSV of any dialect, XYZ, PTS, COLMAP's points3D, OBJ vertices.
+"""Read a cloud in text form: CSV of any dialect, XYZ, PTS, COLMAP's points3D, OBJ vertices.
 
-The dialect is the one in which most lines hold three numbers or more. Lines above the first such
-line are the header; the nearest of them that names axes gives the names, also as a comment or with
-another separator.
+The dialect is the one in which most lines hold three or more numbers. The lines above the first
+such line are the header. The names of the columns are in the nearest header line that names axes,
+which may be a comment or have another separator.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ _UNSEEN = {
 
 @dataclass(frozen=True)
 class _Dialect:
-    """How a line becomes cells: what separates them (None: blanks), and whether 1,5 is a number."""
+    """How a line is split into cells: the separator (None: blanks), and whether 1,5 is a number."""
 
     separator: str | None
     comma: bool
@@ -73,7 +73,11 @@ _DIALECTS = [
 
 
 def read_text(path: Path, notes: list[str]) -> Floats:
-    """Return the points (M, 3) of a text file; NaN for cells that stand for "not seen".
+    """Return the points (M, 3) mm of a text file; NaN for cells that stand for "not seen".
+
+    Args:
+        path: the file.
+        notes: receives a sentence for each choice of columns.
 
     Raises:
         RegistrationError: no three columns of numbers, or more than MOST_POINTS rows.
@@ -146,15 +150,19 @@ def _found(lines: Sequence[str], path: Path) -> tuple[_Dialect, int]:
 
 
 def _is_scan_table(lines: Sequence[str], some: Sequence[int]) -> bool:
-    """Whether the file begins as PTX does.
+    """Return whether a file begins as PTX does.
 
-    Two counts, four rows of three numbers, a matrix of four by four.
+    A PTX file begins with two counts, four rows of three numbers, and a 4 × 4 matrix.
     """
     return [len(lines[k].split()) for k in some[:10]] == [1, 1, 3, 3, 3, 3, 4, 4, 4, 4]
 
 
 def _value(cell: str) -> float:
-    """Return a cell's number, NaN for "not seen"; raise ValueError for anything else."""
+    """Return the number in a cell, NaN for "not seen".
+
+    Raises:
+        ValueError: anything else.
+    """
     text = cell.strip().strip('"')
     if text.lower() in _UNSEEN:
         return float("nan")
@@ -164,7 +172,7 @@ def _value(cell: str) -> float:
 
 
 def _sample(rows: Sequence[Sequence[str]]) -> Floats:
-    """Return the cells of some rows as numbers, NaN if a cell holds none.
+    """Return the cells of some rows as numbers; NaN if a cell holds none.
 
     There are as many columns as in the median row.
     """
@@ -181,9 +189,9 @@ def _sample(rows: Sequence[Sequence[str]]) -> Floats:
 
 
 def _header(lines: Sequence[str], dialect: _Dialect, width: int) -> list[str]:
-    """Return the names of the nearest line above the rows that names axes.
+    """Return the names in the nearest line above the rows that names axes.
 
-    Else those of the nearest with a name a column.
+    If there is none, return those of the nearest line with one name for each column.
     """
     split = [
         [_split(text, mark) for text in _texts(line) for mark in _order(dialect)]
@@ -203,7 +211,7 @@ def _header(lines: Sequence[str], dialect: _Dialect, width: int) -> list[str]:
 
 
 def _fitted(names: list[str], sample: Floats) -> list[str]:
-    """Return the column names, with one added for a first column of unnamed row numbers."""
+    """Return the names of the columns, with one added for a first column of unnamed row numbers."""
     if len(names) == sample.shape[1] - 1 and no_coordinates(sample).get(0) in (
         COUNTS,
         NUMBERS,

@@ -1,8 +1,8 @@
 """Remove pixels without depth from a cloud: not finite, at 0, 0, 0, or all at one other place.
 
-Depth cameras save a pixel without depth as one fixed triple; a transform moves all of them alike.
-One point at 0, 0, 0 is a point; a place that repeats bit for bit far more often than others do is
-not.
+Depth cameras save a pixel without depth as one fixed triple, and a transform moves all of them
+alike. A single point at 0, 0, 0 is a measurement. A place that repeats bit for bit far more often
+than others is not.
 """
 
 from __future__ import annotations
@@ -17,10 +17,7 @@ OFTEN = 10.0  # and by how much more often than the median place of a cloud whos
 
 
 def left_out(points: Floats) -> tuple[NDArray[np.bool_], str]:
-    """Return which points (M, 3) are measurements, and a sentence on those left out.
-
-    The sentence is "" if none are left out.
-    """
+    """Return which points (M, 3) are measurements, and a sentence on the others, or ""."""
     finite = np.isfinite(points).all(axis=1)
     zero = finite & (points == 0.0).all(axis=1)
     zero &= np.count_nonzero(zero) > 1
@@ -42,7 +39,7 @@ def left_out(points: Floats) -> tuple[NDArray[np.bool_], str]:
 
 
 def _repeated(points: Floats, good: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], str]:
-    """Return points at places that repeat too often to be measured, and these in words."""
+    """Return points at places that repeat too often to be measured, and these places in words."""
     rows = np.flatnonzero(good)
     order = rows[np.lexsort(points[rows].T)]
     new = (

@@ -40,7 +40,7 @@ class DoctorOptions:
 def doctor_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo doctor`."""
     parser.add_argument(
-        "--rig", metavar="rig.toml", help="also read the servos of this rig; nothing moves"
+        "--rig", metavar="FILE.toml", help="also read the servos of this rig; nothing moves"
     )
     parser.add_argument("--bundle", metavar="DIR", help="also check this bundle")
     parser.add_argument("--camera", metavar="N|/dev/…", help="take a picture of this camera")
@@ -72,7 +72,7 @@ class LimitsOptions:
 def limits_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo limits`."""
     parser.add_argument(
-        "--rig", required=True, metavar="rig.toml", help="the rig: its servos, ceiling and stops"
+        "--rig", required=True, metavar="FILE.toml", help="the rig: its servos, ceiling and stops"
     )
     parser.add_argument(
         "--bundle", metavar="DIR", help="the finger, with its calibration (the built-in one)"
@@ -120,7 +120,7 @@ def replay_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo replay`."""
     parser.add_argument("recording", help="recording of the control loop (.mcap)")
     parser.add_argument(
-        "--run", metavar="FILE.npz", help="also write it as a run, with the camera frames"
+        "--run", metavar="RUN", help="also write it as a run, with the camera frames"
     )
     parser.add_argument("--force", action="store_true", help="overwrite an existing run")
 

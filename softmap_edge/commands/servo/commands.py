@@ -214,8 +214,8 @@ def _setup(args: SetupOptions) -> int:
     done = setup.set_up(found[0], args.new_id, args.new_baud, mended.append, entry.asked)
     if args.rig:
         mended += changes(entry, found[0], done, args.rig)
-        bench = entered(entry, done, setup.gains(done))
-        (bench.write if old is None else bench.note)(args.rig)
+        rig = entered(entry, done, setup.gains(done))
+        (rig.write if old is None else rig.note)(args.rig)
     if args.json:
         print(
             json.dumps(
@@ -329,7 +329,7 @@ class ScanOptions:
 
 def _scan_arguments(parser: argparse.ArgumentParser) -> None:
     _bus_arguments(parser)
-    parser.add_argument("--rig", metavar="rig.toml", help="search for the servos of this rig")
+    parser.add_argument("--rig", metavar="FILE.toml", help="search for the servos of this rig")
 
 
 @dataclass(frozen=True)
@@ -368,7 +368,7 @@ def _setup_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--new-id", type=int, metavar="ID", help="its new id")
     parser.add_argument("--new-baud", type=int, metavar="BAUD", help="its new baud rate")
-    parser.add_argument("--rig", metavar="rig.toml", help="add it to this rig")
+    parser.add_argument("--rig", metavar="FILE.toml", help="add it to this rig")
 
 
 @dataclass(frozen=True)
@@ -383,7 +383,7 @@ class OffOptions:
 
 def _off_arguments(parser: argparse.ArgumentParser) -> None:
     _bus_arguments(parser)
-    parser.add_argument("--rig", metavar="rig.toml", help="the rig whose port it is")
+    parser.add_argument("--rig", metavar="FILE.toml", help="the rig whose port it is")
 
 
 @dataclass(frozen=True)
@@ -400,7 +400,7 @@ class RebootOptions:
 def _reboot_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo reboot`."""
     parser.add_argument("--id", type=int, required=True, metavar="ID", help="the servo")
-    parser.add_argument("--rig", metavar="rig.toml", help="the rig whose port it is")
+    parser.add_argument("--rig", metavar="FILE.toml", help="the rig whose port it is")
     _bus_arguments(parser)
 
 

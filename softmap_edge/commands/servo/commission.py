@@ -22,8 +22,8 @@ from softmap_edge.model.bundle import save_bundle
 from softmap_edge.model.model import Model
 from softmap_edge.robot.commissioning.first_calibration import (
     COUPLING,
-    bench_calibration,
     bends,
+    pulley_calibration,
     radius,
 )
 from softmap_edge.robot.commissioning.first_calibration import document as calibration_document
@@ -50,7 +50,7 @@ class HomeOptions:
 def home_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo home`."""
     parser.add_argument(
-        "--rig", required=True, metavar="rig.toml", help="the rig; its homes are written into it"
+        "--rig", required=True, metavar="FILE.toml", help="the rig; its homes are written into it"
     )
     parser.add_argument(
         "--yes", action="store_true", help="do not ask whether the finger is straight"
@@ -104,7 +104,7 @@ class CalibrateOptions:
 
 def calibrate_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo calibrate`."""
-    parser.add_argument("--rig", required=True, metavar="rig.toml", help="the rig, homed before")
+    parser.add_argument("--rig", required=True, metavar="FILE.toml", help="the rig, homed before")
     parser.add_argument(
         "--pulley-mm",
         required=True,
@@ -135,9 +135,9 @@ def calibrate(args: CalibrateOptions) -> int:
     rig, model = read_rig(args.rig), open_model(args.bundle)
     pulley = radius(args.pulley_mm, _reading(args.ruler))
     given = [1] * len(rig.servos) if args.signs is None else _signs(args.signs)
-    found = bench_calibration(rig, model, pulley, given)  # raises an error before anything moves
+    found = pulley_calibration(rig, model, pulley, given)  # raises an error before anything moves
     if args.signs is None:
-        found = bench_calibration(rig, model, pulley, _jogged(args, rig, model))
+        found = pulley_calibration(rig, model, pulley, _jogged(args, rig, model))
     warnings = [
         f"no coupling is known: servos are taken to pull one command each, within {COUPLING:g} of "
         "their own",
@@ -240,7 +240,7 @@ class PullOptions:
 def pull_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo pull`."""
     parser.add_argument(
-        "--rig", required=True, metavar="rig.toml", help="the rig; ceilings are written into it"
+        "--rig", required=True, metavar="FILE.toml", help="the rig; ceilings are written into it"
     )
     parser.add_argument(
         "--bundle", metavar="DIR", help="the finger, with its calibration (the built-in one)"

@@ -26,7 +26,7 @@ from softmap_edge.robot.emulated.finger import (
     LATE,
     SERVO,
     EmulatedFinger,
-    emulated_bench,
+    emulated_robot,
     hidden_laws,
 )
 from softmap_edge.robot.link.points import PointSender
@@ -81,7 +81,7 @@ def emulate_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--strength", type=float, default=1.0, metavar="X", help="factor on their strength (1)"
     )
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="random seed (0)")
+    parser.add_argument("--seed", type=int, default=0, help="random seed (0)")
     parser.add_argument(
         "--model", default=SERVO, metavar="NAME", help=f"model of the servos ({SERVO})"
     )
@@ -131,7 +131,7 @@ def emulate(args: EmulateOptions) -> int:
     names = [name for name in args.hide.split(",") if name]
     laws = hidden_laws(names, whole.channels, args.seed, args.strength)
     senders = _senders(args)
-    robot = emulated_bench(
+    robot = emulated_robot(
         whole,
         calibration,
         laws,

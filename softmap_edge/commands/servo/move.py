@@ -1,7 +1,7 @@
 """The command `servo move`: jog servos by keys, turn one by some ticks, or go to one command.
 
 The enable key and the questions are shared with `commission.py`. Pinned by
-tests/robot/test_move.py, tests/robot/test_home.py and tests/robot/test_calibrate_bench.py.
+tests/robot/test_move.py, tests/robot/test_home.py and tests/robot/test_calibrate_rig.py.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.commands.output import JsonOption, to_stderr, with_files
 from softmap_edge.commands.own import effects_argument, load_own, open_model
-from softmap_edge.commands.robot import bench_of, driving, emulated
+from softmap_edge.commands.robot import driven_robot, driving, emulated
 from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.files.printable import raw
 from softmap_edge.robot.commissioning.jog import ARRIVED, EVERY, Deadman, Held, Jog, most_travel
@@ -88,7 +88,7 @@ def move_arguments(parser: argparse.ArgumentParser) -> None:
     where.add_argument(
         "--sim", action="store_true", help="an emulated robot: real packets, simulated finger"
     )
-    where.add_argument("--rig", metavar="rig.toml", help="the servos of this rig")
+    where.add_argument("--rig", metavar="FILE.toml", help="the servos of this rig")
     parser.add_argument(
         "--bundle",
         metavar="DIR",
@@ -235,7 +235,7 @@ def _go(args: MoveOptions, command: str) -> int:
         )
     load_own(args)
     model = open_model(args.bundle)
-    with bench_of(args.rig, model) as there:
+    with driven_robot(args.rig, model) as there:
         if len(u) != len(there.rig.servos):
             raise SoftmapError(
                 f"{len(u)} numbers for {len(there.rig.servos)} servos; give mm, one a servo"

@@ -5,7 +5,7 @@ Servo k's command is the tendon that its pulley winds, u_k = ±r (ticks − home
 the servo's own. The home was set by eye, so its standard deviation is what homing tolerates.
 `held_out` is the error expected from these deviations over the model's range, because no block was
 left out. A calibration with a camera (`softmap model calibrate`) replaces this one. Pinned by
-tests/robot/test_calibrate_bench.py.
+tests/robot/test_calibrate_rig.py.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def bends(model: Model, k: int) -> str:
     return f"{'+' if moved[axis] > 0 else '-'}{AXES[axis]}"
 
 
-def bench_calibration(rig: Rig, model: Model, pulley: Radius, signs: Sequence[int]) -> Calibration:
+def pulley_calibration(rig: Rig, model: Model, pulley: Radius, signs: Sequence[int]) -> Calibration:
     """Return the calibration of a rig whose servo k pulls command k by `signs[k]`, ±1.
 
     All pulleys have the same radius.

@@ -28,7 +28,7 @@ from softmap_edge.robot.servo import status_words as words
 from softmap_edge.robot.servo.bus import opened
 from softmap_edge.robot.servo.conditions import JOG_TRAVEL
 from softmap_edge.robot.servo.home_mark import forget, marked
-from softmap_edge.robot.servo.limits import of_bench
+from softmap_edge.robot.servo.limits import rig_limits
 from softmap_edge.robot.servo.loop_limits import JOG_SLEW, loop_limits, servo_limits, strongest
 from softmap_edge.robot.servo.loop_types import LoopLimits, ServoLimits
 from softmap_edge.robot.servo.models import servo_model
@@ -162,10 +162,10 @@ class Jog:
         state = self.robot.state
         if state not in ("commissioning", "connected"):
             report = self.robot.report
-            bench = self.rig.file is not None
+            has_rig = self.rig.file is not None
             where, onward = (
                 words.where(report, self.robot.limits),
-                words.onward(report, terminal=True, bench=bench),
+                words.onward(report, terminal=True, has_rig=has_rig),
             )
             raise GuardStopped.by(
                 f"the guard ended the jog: the robot is {where}; {onward}", report.get("cause")
@@ -274,7 +274,7 @@ class Jog:
 
 def most_travel(rig: Rig, otherwise: float = JOG_TRAVEL) -> float:
     """Return the largest travel of a jog, ticks: the limit of the rig, or `otherwise`."""
-    return float((of_bench(rig)("jog_travel") or (otherwise,))[0])
+    return float((rig_limits(rig)("jog_travel") or (otherwise,))[0])
 
 
 def _limits(rig: Rig, asked: dict[str, float | None]) -> LoopLimits:
@@ -282,7 +282,7 @@ def _limits(rig: Rig, asked: dict[str, float | None]) -> LoopLimits:
 
     All other limits are those of the rig.
     """
-    robot, servos = of_bench(rig), _servos(rig)
+    robot, servos = rig_limits(rig), _servos(rig)
     anywhere = (float(FARTHEST),) * 2  # the goal of a jog may jump: its travel and slew bound it
     names = [
         name
@@ -301,7 +301,7 @@ def _limits(rig: Rig, asked: dict[str, float | None]) -> LoopLimits:
 
 
 def _allowed(limit: tuple[float, str, str] | None, otherwise: float) -> float:
-    """Return the value of a rig's limit (`of_bench`), or `otherwise` if the rig has none."""
+    """Return the value of a rig's limit (`rig_limits`), or `otherwise` if the rig has none."""
     return otherwise if limit is None else float(limit[0])
 
 
@@ -310,8 +310,8 @@ def _servos(rig: Rig) -> list[ServoLimits]:
     found = []
     with opened(rig.port, rig.baud) as bus:
         for servo in rig.servos:
-            bench = of_bench(rig, servo)
-            low, high = ((bench(side) or (None,))[0] for side in ("low", "high"))
+            of_rig = rig_limits(rig, servo)
+            low, high = ((of_rig(side) or (None,))[0] for side in ("low", "high"))
             limits = servo_limits(servo.model, 0, (-float(FARTHEST), float(FARTHEST)))
             if (
                 servo.home is not None
@@ -321,12 +321,12 @@ def _servos(rig: Rig) -> list[ServoLimits]:
                 low = -FARTHEST - servo.home if low is None else low
                 high = FARTHEST - servo.home if high is None else high
                 limits = servo_limits(servo.model, servo.home, (low, high))
-            limits["slew"] = _allowed(bench("slew"), limits["slew"])
-            limits["acceleration"] = _allowed(bench("acceleration"), limits["acceleration"])
-            limits["following"] = _allowed(bench("following"), limits["following"])
-            limits["warm"] = min(limits["warm"], _allowed(bench("warm"), limits["warm"]))
-            limits["hot"] = min(limits["hot"], _allowed(bench("hot"), limits["hot"]))
+            limits["slew"] = _allowed(of_rig("slew"), limits["slew"])
+            limits["acceleration"] = _allowed(of_rig("acceleration"), limits["acceleration"])
+            limits["following"] = _allowed(of_rig("following"), limits["following"])
+            limits["warm"] = min(limits["warm"], _allowed(of_rig("warm"), limits["warm"]))
+            limits["hot"] = min(limits["hot"], _allowed(of_rig("hot"), limits["hot"]))
             own = strongest(servo_model(servo.model))
-            limits["current"] = min(own, _allowed(bench("current_mA"), limits["current"]))
+            limits["current"] = min(own, _allowed(of_rig("current_mA"), limits["current"]))
             found.append(limits)
     return found

@@ -42,7 +42,7 @@ from softmap_edge.robot.servo.clock import FROZEN, Clock
 from softmap_edge.robot.servo.known_state import gains_of
 from softmap_edge.robot.servo.loop_types import LoopLimits, LoopReport
 from softmap_edge.robot.servo.rig import Rig
-from softmap_edge.robot.servo.rig_ceiling import check_bench
+from softmap_edge.robot.servo.rig_ceiling import check_against_rig
 from softmap_edge.robot.servo.status_words import kept_words
 
 Floats = NDArray[np.float64]
@@ -109,7 +109,7 @@ class Controller(Supervisor):
         self.rig, self.limits = rig, limits.copy()
         _core.check_limits(self.limits)
         if not commissioning:
-            check_bench(rig, self.limits)
+            check_against_rig(rig, self.limits)
         self.calibration = calibration.turned([servo["home"] for servo in self.limits["servos"]])
         if kinematics is not None and kinematics.model.channels != count:
             raise ServoError(

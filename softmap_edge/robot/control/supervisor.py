@@ -151,7 +151,7 @@ class Supervisor:
     def _stopped(self) -> str:
         """Return state, cause and remedy for the user of a CLI command, or of a program."""
         what = self._silence() or words.where(self._last, self.limits)
-        do = words.onward(self._last, terminal=self.at_terminal, bench=self.rig.file is not None)
+        do = words.onward(self._last, terminal=self.at_terminal, has_rig=self.rig.file is not None)
         return self._named(f"the robot is {what}; {do}")
 
     def _named(self, said: str) -> str:

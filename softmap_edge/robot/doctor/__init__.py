@@ -6,7 +6,7 @@ Each fault comes with its remedy.
     print(examine())
 
 Without a rig, nothing is sent to servos; with one, only read requests. `host.py` checks the
-computer, `bench.py` one rig. Pinned by tests/robot/test_doctor.py.
+computer, `rig_checks.py` one rig. Pinned by tests/robot/test_doctor.py.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def examine(
         bundle: folder of the bundle; with a rig, the effective limits are checked too
         camera: number of a camera, which is opened and closed
     """
-    from softmap_edge.robot.doctor import bench, host
+    from softmap_edge.robot.doctor import host, rig_checks
 
     looks: list[Callable[[], Iterable[Line]]] = [
         host.versions,
@@ -75,9 +75,9 @@ def examine(
         host.teleoperation,
         lambda: host.cameras(camera),
     ]
-    looks += [] if bundle is None else [lambda: bench.bundle(bundle)]
-    looks += [] if rig is None else [lambda: bench.rig(rig, bundle)]
-    looks += [] if rig is None or bundle is None else [lambda: bench.limits(rig, bundle)]
+    looks += [] if bundle is None else [lambda: rig_checks.check_bundle(bundle)]
+    looks += [] if rig is None else [lambda: rig_checks.check_rig(rig, bundle)]
+    looks += [] if rig is None or bundle is None else [lambda: rig_checks.check_limits(rig, bundle)]
     files = [None if one is None else str(one) for one in (rig, bundle)]
     lines = [line for look in looks for line in _safely(look)]
     return Examined(

@@ -183,7 +183,7 @@ class EmulatedFinger:
 
 
 @contextmanager
-def emulated_bench(
+def emulated_robot(
     model: Model,
     calibration: Calibration,
     laws: Sequence[Law] = (),

@@ -63,19 +63,19 @@ class ExaminedServo:
 
 def members(rig: Rig) -> list[Member]:
     """Return the servos of a rig, each with its requirements."""
-    from softmap_edge.robot.servo.limits import of_bench
+    from softmap_edge.robot.servo.limits import rig_limits
 
     found = []
     for servo, (id, number) in zip(rig.servos, rig.numbers):
-        bench, plain = of_bench(rig, servo), usual(servo_model(servo.model))
-        current = (bench("current_mA") or (plain.current_mA,))[0]
-        slew = (bench("slew") or (plain.slew,))[0]
+        of_rig, plain = rig_limits(rig, servo), usual(servo_model(servo.model))
+        current = (of_rig("current_mA") or (plain.current_mA,))[0]
+        slew = (of_rig("slew") or (plain.slew,))[0]
         hot = min(
             float(one[0])
-            for one in (bench("hot"), (plain.hot,))
+            for one in (of_rig("hot"), (plain.hot,))
             if one is not None and one[0] is not None
         )
-        sides = [(bench(side) or (None,))[0] for side in ("low", "high")]
+        sides = [(of_rig(side) or (None,))[0] for side in ("low", "high")]
         window = None if servo.home is None else _window(servo.home, *sides)
         asked = Asked(
             float(current),

@@ -332,7 +332,7 @@ def _servo(
     servo, unit = rig.servos[k], safety.unit
     entry = servo_model(servo.model)
     start = servo_limits(servo.model, 0, (-1.0, 1.0))
-    allowed = of_bench(rig, servo)
+    allowed = rig_limits(rig, servo)
     through = "through the calibration"
     limits = []
     for side, name in enumerate(("low", "high")):
@@ -429,11 +429,13 @@ def _robot(
     ends = [(float(_of(one, "low").number), float(_of(one, "high").number)) for one in servos]
     placed = [servo_limits(servo.model, 0, end) for servo, end in zip(rig.servos, ends)]
     usual = loop_limits(placed, rate)
-    allowed = of_bench(rig)
-    bench = rig.ceiling.get("jump")
+    allowed = rig_limits(rig)
+    ceiling = rig.ceiling.get("jump")
     ticks = (float(safety.jump[0] * rates.min()), float(safety.jump[1] * rates.min()))
     jump = [
-        (bench, CEILING, "its [ceiling]") if isinstance(bench, tuple) else (usual["jump"], OWN, ""),
+        (ceiling, CEILING, "its [ceiling]")
+        if isinstance(ceiling, tuple)
+        else (usual["jump"], OWN, ""),
         (ticks, FINGER, f"{safety.jump[0]:g} and {safety.jump[1]:g} {safety.unit}"),
     ]
     warned = min(jump, key=lambda one: one[0][0])
@@ -452,7 +454,7 @@ def _robot(
     return tuple(limits)
 
 
-def of_bench(
+def rig_limits(
     rig: Rig, servo: RigServo | None = None
 ) -> Callable[[str], tuple[float, str, str] | None]:
     """Return a look-up of the strictest value that the rig sets: value, who, how.

@@ -2,7 +2,7 @@
 
 Limits of a single servo stand in its `[[servo]]` table. The ceiling replaces softmap's own cautious
 defaults; a bundle's `safety.toml` can only tighten it (`limits.py`). Pinned by
-tests/robot/test_limits.py and tests/robot/test_bench_limits.py.
+tests/robot/test_limits.py and tests/robot/test_rig_limits.py.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def read_ceiling(table: TomlTable) -> Ceiling:
     return ceiling
 
 
-def check_bench(rig: Rig, limits: LoopLimits) -> None:
+def check_against_rig(rig: Rig, limits: LoopLimits) -> None:
     """Reject limits of a robot that its rig does not allow.
 
     Raises:

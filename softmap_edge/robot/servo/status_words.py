@@ -163,24 +163,24 @@ def where(report: LoopReport, limits: LoopLimits | None = None) -> str:
     return f"in state {state(report)}" + (f" ({why})" if why else "")
 
 
-def onward(report: LoopReport, *, terminal: bool = False, bench: bool = True) -> str:
+def onward(report: LoopReport, *, terminal: bool = False, has_rig: bool = True) -> str:
     """Return what to do in a state that follows no commands.
 
     Args:
         report: newest report of the loop
         terminal: whether the reader typed a command; otherwise the reader wrote a program, and
             methods are named
-        bench: whether the robot has a rig file; a robot emulated by a command is homed by each
+        has_rig: whether the robot has a rig file; a robot emulated by a command is homed by each
             start
     """
-    return _typed(report, bench) if terminal else _called(report)
+    return _typed(report, has_rig) if terminal else _called(report)
 
 
-def _typed(report: LoopReport, bench: bool) -> str:
+def _typed(report: LoopReport, has_rig: bool) -> str:
     """Return what to do at the command line before the same command is run again."""
     home = (
         "home the robot again (`softmap servo home --rig FILE`)"
-        if bench and _unhomed(report)
+        if has_rig and _unhomed(report)
         else ""
     )
     steps = [_remedy(report), home]

@@ -1,8 +1,8 @@
 //! The loop on emulated servos in virtual time, as its tests drive it.
 
 use super::*;
-use crate::bench::{self, Linear};
 use crate::bus::Bus;
+use crate::emulated_rig::{self, Linear};
 use crate::emulator::Emulator;
 use crate::emulator::servo::Servo;
 use crate::emulator::virtual_port::Virtual;
@@ -28,22 +28,22 @@ impl Record for Log {
     }
 }
 
-pub type Bench = Control<Virtual, Linear, Script, Log>;
+pub type VirtualRig = Control<Virtual, Linear, Script, Log>;
 
 pub const PERIOD: f64 = 0.005;
 
 pub fn limits() -> Limits {
-    bench::limits(PERIOD)
+    emulated_rig::limits(PERIOD)
 }
 
-pub fn bench() -> Bench {
+pub fn rig() -> VirtualRig {
     let port = Virtual {
-        emulator: bench::emulator(),
+        emulator: emulated_rig::emulator(),
         now: 1,
         stall: 0,
     };
     Control::new(
-        bench::drive(Bus::new(port, bench::BAUD, 1_000_000)),
+        emulated_rig::drive(Bus::new(port, emulated_rig::BAUD, 1_000_000)),
         Guard::new(limits()),
         Linear,
         Script::default(),
@@ -51,7 +51,7 @@ pub fn bench() -> Bench {
     )
 }
 
-impl Bench {
+impl VirtualRig {
     pub fn run(&mut self, seconds: f64) -> Output {
         let ticks = (seconds / PERIOD).round() as usize;
         (0..ticks.max(1)).map(|_| self.step()).last().unwrap()
@@ -84,29 +84,29 @@ impl Bench {
 }
 
 /// Engaged, standing at (1, −1) mm.
-pub fn engaged() -> Bench {
-    let mut bench = bench();
-    bench.run(0.3);
+pub fn engaged() -> VirtualRig {
+    let mut rig = rig();
+    rig.run(0.3);
     for request in [Request::Connect, Request::Home, Request::Arm] {
-        let output = bench.ask(request);
+        let output = rig.ask(request);
         assert_eq!(output.denied, None, "{request:?}");
     }
-    bench.drive_to([0.0, 0.0]);
-    assert_eq!(bench.ask(Request::Engage).state, State::Engaged);
-    bench.drive_to([1.0, -1.0]);
-    bench.run(1.5);
-    bench
+    rig.drive_to([0.0, 0.0]);
+    assert_eq!(rig.ask(Request::Engage).state, State::Engaged);
+    rig.drive_to([1.0, -1.0]);
+    rig.run(1.5);
+    rig
 }
 
 /// Steps until `state`, in s.
-pub fn until(bench: &mut Bench, state: State, most: f64) -> f64 {
+pub fn until(rig: &mut VirtualRig, state: State, most: f64) -> f64 {
     for tick in 0..(most / PERIOD) as usize {
-        if bench.step().state == state {
+        if rig.step().state == state {
             return (tick + 1) as f64 * PERIOD;
         }
     }
     panic!(
         "{state:?} is not reached in {most} s but {:?}",
-        bench.guard.state()
+        rig.guard.state()
     );
 }

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigs import BAUD, HOME, MODEL, angles, bench, torque
+from rigs import BAUD, HOME, MODEL, angles, emulated_rig, torque
 from typist import typist
 
 from softmap_edge.cli import main
@@ -17,8 +17,8 @@ from softmap_edge.model.bundle import builtin_model, load_bundle
 from softmap_edge.robot.commissioning.first_calibration import (
     CALIPER,
     COUPLING,
-    bench_calibration,
     bends,
+    pulley_calibration,
     radius,
 )
 from softmap_edge.robot.servo.limits import effective_limits
@@ -127,7 +127,7 @@ def test_without_home_or_over_a_bundle_nothing_is_written(tmp_path, capsys):
 
 def test_signs_are_jogged_and_asked_for(tmp_path, capsys, monkeypatch):
     asked, answers, moved = [], iter([True, False, True]), []
-    with bench() as (bus, there, _):
+    with emulated_rig() as (bus, there, _):
         there.write(tmp_path / "rig.toml")
 
         def answer(question, _):
@@ -148,7 +148,7 @@ def test_a_key_that_is_held_beyond_the_move_answers_no_question(tmp_path):
     """A user who holds a key notices late that the servo is back; an answer that is none is asked
     for again.
     """
-    with bench() as (bus, there, _):
+    with emulated_rig() as (bus, there, _):
         there.write(tmp_path / "rig.toml")
         with typist(tmp_path, *words(tmp_path)) as user:
 
@@ -174,7 +174,7 @@ def test_a_key_that_is_held_beyond_the_move_answers_no_question(tmp_path):
 
 def test_a_servo_that_bends_neither_way_is_reported(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(commission, "confirm", lambda *_: False)
-    with bench() as (bus, there, _):
+    with emulated_rig() as (bus, there, _):
         there.write(tmp_path / "rig.toml")
         assert main(words(tmp_path, "--hold")) == 2
         assert "pull command 1: look at its tendon" in capsys.readouterr().err and not torque(bus)
@@ -188,4 +188,4 @@ def test_the_way_of_a_bend_is_the_models():
     way = bends(FINGER, 0)
     axis = "xyz".index(way[1])
     assert np.sign(tip[1, axis] - tip[0, axis]) == (1 if way[0] == "+" else -1)
-    assert bench_calibration(rig(), FINGER, radius(R), (1, 1)).condition == pytest.approx(1.0)
+    assert pulley_calibration(rig(), FINGER, radius(R), (1, 1)).condition == pytest.approx(1.0)

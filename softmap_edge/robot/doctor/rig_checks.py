@@ -30,7 +30,7 @@ from softmap_edge.robot.servo.rig import Rig, RigServo, read_rig
 SCAN = "run `softmap servo scan --rig FILE`"
 
 
-def bundle(folder: str | Path) -> Iterator[Line]:
+def check_bundle(folder: str | Path) -> Iterator[Line]:
     """Check whether a bundle loads, and contains what a robot needs."""
     from softmap_edge.model.bundle import load_bundle
 
@@ -65,7 +65,7 @@ def bundle(folder: str | Path) -> Iterator[Line]:
         )
 
 
-def limits(file: str | Path, folder: str | Path) -> Iterator[Line]:
+def check_limits(file: str | Path, folder: str | Path) -> Iterator[Line]:
     """Check whether a finger on its rig gives limits that the guard accepts.
 
     Yields nothing if one of the two has a fault.
@@ -73,13 +73,13 @@ def limits(file: str | Path, folder: str | Path) -> Iterator[Line]:
     from softmap_edge.model.bundle import load_bundle
 
     try:
-        bench, model = read_rig(file), load_bundle(folder)
+        rig, model = read_rig(file), load_bundle(folder)
     except (SoftmapError, OSError):
         return
     if model.calibration is None:
         return
     try:
-        found = effective_limits(bench, model)
+        found = effective_limits(rig, model)
         found.table()
     except SoftmapError as fault:
         yield faulty("limits", fault, "`softmap servo limits` lists who sets them")
@@ -88,7 +88,7 @@ def limits(file: str | Path, folder: str | Path) -> Iterator[Line]:
     yield Line("limits", OK, f"{found_text}; `softmap servo limits` prints them")
 
 
-def rig(file: str | Path, folder: str | Path | None = None) -> Iterator[Line]:
+def check_rig(file: str | Path, folder: str | Path | None = None) -> Iterator[Line]:
     """Check whether a rig file is valid, its servos answer and are set up, and it is homed.
 
     Args:
@@ -96,7 +96,7 @@ def rig(file: str | Path, folder: str | Path | None = None) -> Iterator[Line]:
         folder: bundle of the finger on it, whose limits apply to the servos
     """
     try:
-        bench = read_rig(file)
+        rig = read_rig(file)
     except ServoError as fault:
         do = (
             "correct it there, or move it away and make it again with `softmap servo setup --rig "
@@ -104,25 +104,25 @@ def rig(file: str | Path, folder: str | Path | None = None) -> Iterator[Line]:
         )
         yield faulty("rig", fault, do)
         return
-    yield Line("rig", OK, f"{file}: {len(bench.servos)} servos at {bench.port}, {bench.baud} baud")
+    yield Line("rig", OK, f"{file}: {len(rig.servos)} servos at {rig.port}, {rig.baud} baud")
     uncapped = [
         servo.id
-        for servo in bench.servos
+        for servo in rig.servos
         if servo.current_mA is None and servo_model(servo.model)["current_limit_mA"] is not None
     ]
     if uncapped:
         do = "run `softmap servo pull`; until then a share of the servo's own limit is taken"
         yield Line("ceiling", WARNING, f"no current was measured for servo {_listed(uncapped)}", do)
-    yield from _stops(bench)
+    yield from _stops(rig)
     try:
-        yield from _servos(bench, _asked(bench, folder))
+        yield from _servos(rig, _asked(rig, folder))
     except ServoError as fault:
         yield faulty("bus", fault, SCAN)
 
 
-def _stops(bench: Rig) -> Iterator[Line]:
+def _stops(rig: Rig) -> Iterator[Line]:
     """Check whether the rig's emergency stops work: a heartbeat's key, a line's chip."""
-    stops, wrong = bench.emergency, []
+    stops, wrong = rig.emergency, []
     if stops.udp is not None:
         try:
             read_key(stops.udp.key_file)
@@ -153,40 +153,40 @@ def _stops(bench: Rig) -> Iterator[Line]:
         yield Line("emergency stop", OK, f"stops at {stops}")
 
 
-def _asked(bench: Rig, folder: str | Path | None) -> list[Member]:
+def _asked(rig: Rig, folder: str | Path | None) -> list[Member]:
     """Return the requirements for each servo: by the effective limits if known, else by the rig."""
     from softmap_edge.model.bundle import load_bundle
 
     if folder is not None:
         with contextlib.suppress(SoftmapError, OSError):
-            table = effective_limits(bench, load_bundle(folder)).table()
+            table = effective_limits(rig, load_bundle(folder)).table()
             return members_of(
-                bench.numbers, table, [gains_of(bench.made, servo.id) for servo in bench.servos]
+                rig.numbers, table, [gains_of(rig.made, servo.id) for servo in rig.servos]
             )
-    return members(bench)
+    return members(rig)
 
 
-def _servos(bench: Rig, asked: list[Member]) -> Iterator[Line]:
-    seen = examined(bench.port, bench.baud, asked)
-    for servo, one in zip(bench.servos, seen):
+def _servos(rig: Rig, asked: list[Member]) -> Iterator[Line]:
+    seen = examined(rig.port, rig.baud, asked)
+    for servo, one in zip(rig.servos, seen):
         name, found = f"servo {servo.id}", one.found
         for complaint in (*one.wrong, *one.unfit):
             yield faulty(name, complaint, SCAN)
-        if found is None or found.number != dict(bench.numbers)[servo.id] or not one.values:
+        if found is None or found.number != dict(rig.numbers)[servo.id] or not one.values:
             continue
         for need in one.passing:
             found_text = differs(found, need, one.values[need.register])
             yield Line(name, WARNING, found_text, "each start writes it again")
         if not (one.wrong or one.unfit or one.passing):
             yield Line(name, OK, f"{servo.model}, firmware {found.firmware}, set up")
-        yield _home(bench, servo, one.values["present_position"])
+        yield _home(rig, servo, one.values["present_position"])
 
 
-def _home(bench: Rig, servo: RigServo, position: int) -> Line:
+def _home(rig: Rig, servo: RigServo, position: int) -> Line:
     """Check whether a servo is homed, and how far (ticks) it is from home."""
     name = f"home of servo {servo.id}"
     try:
-        with opened(bench.port, bench.baud) as bus:
+        with opened(rig.port, rig.baud) as bus:
             check_confirmed(bus, [(servo.id, servo.home)])
     except ServoError as fault:
         return faulty(name, str(fault).removeprefix(f"servo {servo.id}: "), SCAN)

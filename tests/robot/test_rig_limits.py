@@ -5,7 +5,7 @@ made the limits.
 from dataclasses import replace
 
 import pytest
-from rigs import HOME, MODEL, WINDOW, bench, calibration
+from rigs import HOME, MODEL, WINDOW, calibration, emulated_rig
 
 from softmap_edge.errors import ServoError
 from softmap_edge.robot.control.controller import Controller
@@ -14,7 +14,7 @@ from softmap_edge.robot.servo.rig_ceiling import Ceiling
 
 
 def test_limits_about_another_home_than_the_confirmed_one_are_refused():
-    with bench() as (_, rig, _):
+    with emulated_rig() as (_, rig, _):
         limits = loop_limits(
             [servo_limits(MODEL, HOME, WINDOW), servo_limits(MODEL, HOME + 3000, WINDOW)]
         )
@@ -37,7 +37,7 @@ def test_limits_about_another_home_than_the_confirmed_one_are_refused():
     ],
 )
 def test_limits_above_the_ceiling_of_the_rig_are_refused(ceiling, said):
-    with bench() as (_, rig, limits):
+    with emulated_rig() as (_, rig, limits):
         with pytest.raises(ServoError, match=said):
             Controller(replace(rig, ceiling=Ceiling(tuple(ceiling.items()))), calibration(), limits)
         first = replace(rig.servos[0], high=500)
