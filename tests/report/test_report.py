@@ -4,11 +4,13 @@ page.
 
 import copy
 import re
+from dataclasses import replace
 
 import pytest
 from leaning_triangle import triangle
 from report_documents import DIAGNOSIS, compared, page
 
+from softmap_edge.commands.understand import _nothing_left
 from softmap_edge.comparison.comparison import compare
 from softmap_edge.comparison.text import pair_text
 from softmap_edge.diagnosis.findings import (
@@ -72,6 +74,28 @@ def test_a_pair_shows_the_fall_and_its_scale(pair):
 def test_a_rise_is_called_a_rise(pair):
     text = pair_text(pair[4], pair[3])
     assert "ROSE from 0.357 to 3.46 mm" in text and text.count("▓") > 1
+
+
+def test_a_run_at_its_floor_is_not_proposed_for_a_diagnosis(pair):
+    """Nor one whose error above the floor is gone; a floor that is a bound excludes neither."""
+    _, _, _, before, after = pair
+
+    def off(old, new, kind="frames of one dwell"):
+        one, two = (
+            replace(
+                comparison,
+                error=comparison.error | {"rms_mm": rms},
+                noise_floor_mm=0.2,
+                made_from={"noise_floor": kind},
+            )
+            for comparison, rms in ((before, old), (after, new))
+        )
+        return _nothing_left(one, two)
+
+    assert off(2.0, 1.0) is None and off(1.0, 1.0) is None
+    assert "within 1.5 times the noise floor" in off(0.3, 0.3)
+    assert off(3.0, 0.4).startswith("93 % of the error above the noise floor is gone")
+    assert off(0.3, 0.3, "memory counts as noise: an upper bound") is None
 
 
 def test_pairs_of_different_runs_are_refused(pair, tmp_path):
