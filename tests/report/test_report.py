@@ -20,6 +20,7 @@ from softmap_edge.diagnosis.findings import (
     Finding,
     Rung,
     Unexplained,
+    Untestable,
 )
 from softmap_edge.diagnosis.text import VERDICTS, diagnosis_text, parameter
 from softmap_edge.diagnosis.wording import OwnMisfit, sentence_of, verdict_of
@@ -129,6 +130,29 @@ def test_diagnosis_says_everything_it_knows():
     ):
         assert part in text, part
     assert max(map(len, text.splitlines())) <= 100
+
+
+def test_effects_that_cannot_be_tested_for_one_reason_share_a_line(tmp_path):
+    """A robot without geometry lacks what a dozen effects need; it is one limit, not a dozen."""
+    document = copy.deepcopy(DIAGNOSIS)
+    names = ["twist", "kink", "contact", "routing"]
+    reason = {"why": "a model with the geometry of the body is needed", "experiment": "build one"}
+    document["not_testable"] += [{"name": name} | reason for name in names]
+    text = " ".join(diagnosis_text(document).split())
+    assert f"· 4 effects: {reason['why']}: {', '.join(names)}. To test it: build one." in text
+    assert "· thermal_softening: no temperature" in text
+    shown = page(write_html(tmp_path / "p.html", None, document))
+    assert "<dt>4 effects</dt>" in shown and shown.count(reason["why"]) == 1
+
+
+def test_the_sentence_names_few_effects_that_cannot_be_shown():
+    hidden = [Untestable(f"law{k}", of_model=k < 3) for k in range(9)]
+    text = sentence_of(
+        "cannot_tell", [], [], [], [], Unexplained(), hidden, ErrorLadder(floor=0.1), []
+    )
+    assert text.endswith(
+        "These data cannot show law3, law4, law5, law6, law7, law8 and 3 more effects."
+    )
 
 
 def test_what_is_not_known_is_not_printed():
