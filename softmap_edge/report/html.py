@@ -90,7 +90,7 @@ def write_html(
         series: errors over time and over the body (`compare.series`), for the figures that need
             them
         ways: errors in mm RMS of models made in several ways, by name, and the run that they were
-            measured on (`adapt`)
+            measured on (`model adapt`)
         floor: the lowest error that a model can reach, mm, and its name, if known better than from
             the camera's noise
 

@@ -3,6 +3,7 @@ by a test.
 """
 
 import argparse
+import ast
 import importlib.util
 import json
 import re
@@ -15,6 +16,7 @@ from page import ROOT, blocks
 
 from softmap_edge import _core, builtin_model, cli, compare, diagnose, save_bundle
 from softmap_edge.cli import main
+from softmap_edge.commands import RENAMED
 from softmap_edge.robot.servo.rig import read_rig
 from softmap_edge.robot.servo.rig_ceiling import RANGES
 from softmap_edge.run.protocol import standard_protocol
@@ -57,6 +59,51 @@ def test_every_command_and_option_is_on_the_page():
                     or len(option) == 2
                     or f"`{option}" in section
                 ), option
+
+
+# pages whose names in backticks are other things: the old names themselves, Python names, modules
+OTHER_NAMES = ("cli.md", "python.md", "architecture.md")
+OLD = "|".join(RENAMED)
+
+
+def old_names(text):
+    """Return the old names of commands in a text: `softmap OLD`, and OLD in backticks."""
+    found = re.findall(rf"softmap\s+({OLD})\b|`({OLD})(?=`|\s[^`]*`)", text)
+    return [first or second for first, second in found]
+
+
+@pytest.mark.parametrize(
+    "page",
+    [page for page in (*PAGES, ROOT / "CHANGELOG.md") if page.name not in OTHER_NAMES],
+    ids=lambda page: str(page.relative_to(ROOT)),
+)
+def test_no_page_uses_an_old_name_of_a_command(page):
+    assert old_names(page.read_text(encoding="utf-8")) == []
+
+
+def test_no_message_help_or_example_uses_an_old_name_of_a_command():
+    """Adjacent strings are one text here, as they are printed."""
+    for file in [*(ROOT / "softmap_edge").rglob("*.py"), *(ROOT / "training").rglob("*.py")]:
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            texts = [node] if isinstance(node, ast.Constant) else getattr(node, "values", [])
+            text = "".join(
+                part.value if isinstance(part.value, str) else "…"
+                for part in texts
+                if isinstance(part, ast.Constant)
+            )
+            assert not re.search(rf"softmap\s+({OLD})\b", text), (file, node.lineno, text)
+    for file in (ROOT / "examples").iterdir():
+        if file.suffix in (".py", ".toml", ".md"):
+            assert old_names(file.read_text(encoding="utf-8")) == [], file
+    for command in cli.commands_here():
+        assert all(example.split()[0] not in RENAMED for example in command.examples), command
+
+
+def test_an_old_name_on_a_page_would_be_found():
+    assert old_names("`softmap doctor` and `adapt`, but `model adapt`, `effects.json`") == [
+        "doctor",
+        "adapt",
+    ]
 
 
 def anchors(page):
