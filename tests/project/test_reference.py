@@ -125,6 +125,22 @@ def test_links_lead_somewhere(page):
         assert not anchor or anchor in anchors(file), target
 
 
+def test_the_first_picture_has_a_text_and_a_caption():
+    for page in (ROOT / "README.md", ROOT / "docs/index.md"):
+        (picture,) = re.findall(
+            r"^!\[([^\]]{40,})\]\([^)]*\)\n\n\*[^*\n]+\*$", page.read_text("utf-8"), re.MULTILINE
+        )
+        assert "before" in picture and "after" in picture
+
+
+def test_long_lines_of_code_wrap_on_the_site():
+    config = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    (style,) = re.findall(r"^extra_css: \[([^\]]+)\]$", config, re.MULTILINE)
+    assert "pre > code { font-size: .76em; white-space: pre-wrap;" in (
+        ROOT / "docs" / style
+    ).read_text(encoding="utf-8")
+
+
 def test_every_page_is_on_the_site():
     nav = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
     pages = {str(page.relative_to(ROOT / "docs")) for page in (ROOT / "docs").rglob("*.md")}

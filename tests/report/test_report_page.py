@@ -135,6 +135,16 @@ def test_no_label_of_a_condition_is_cut_off(monkeypatch):
                 )
 
 
+def test_a_narrow_page_scrolls_its_tables_and_breaks_no_word():
+    """`anywhere` lets a column of a table shrink to one letter; `break-word` does not."""
+    from softmap_edge.report.pages import TEMPLATES
+
+    style = (TEMPLATES / "style.css").read_text(encoding="utf-8")
+    for line in style.splitlines():
+        assert "anywhere" not in line or line.startswith("pre "), line
+    assert "section { overflow-x: auto;" in style and "minmax(min(420px, 100%), 1fr)" in style
+
+
 def test_same_input_gives_the_same_page(pair, tmp_path):
     run, worse, _, before, _ = pair
     first = write_html(tmp_path / "a.html", before, None, series(run, worse))
