@@ -147,8 +147,9 @@ SCHEMAS: dict[str, Schema] = {
         noise_floor_mm=maybe(number("noise of a point, mm RMS", minimum=0)),
         memoryless_floor=maybe(
             record(
-                "lowest error of any model without memory",
+                "lowest error of any model without memory on the frames of repeated poses",
                 mm=number(minimum=0),
+                error_mm=maybe(number("error of this model on these frames", minimum=0)),
                 poses=integer("poses that were visited again", minimum=0),
                 passages=integer("visits of them", minimum=0),
                 frames=integer(minimum=0),

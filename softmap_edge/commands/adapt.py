@@ -1,4 +1,4 @@
-"""The command `adapt`: from recordings to a calibrated bundle with effects and a residual."""
+"""The command `model adapt`: from recordings to a calibrated bundle with effects and a residual."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command `calibrate`: fit the map from servo ticks to commands to a run.
+"""The command `model calibrate`: fit the map from servo ticks to commands to a run.
 
 The run has ticks and shapes."""
 
@@ -38,7 +38,7 @@ class CalibrateOptions:
 
 
 def calibrate_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of `calibrate`."""
+    """Declare the arguments of `model calibrate`."""
     parser.add_argument(
         "run", help="a run (.npz or .mcap) with ticks and points, in the base frame"
     )

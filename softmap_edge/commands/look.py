@@ -37,7 +37,7 @@ class PredictOptions:
 
 
 def predict_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of `predict`."""
+    """Declare the arguments of `model predict`."""
     parser.add_argument(
         "input",
         help=(
@@ -97,7 +97,7 @@ class EffectsOptions:
 
 
 def effects_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of `effects`."""
+    """Declare the arguments of `model effects`."""
     parser.add_argument(
         "name",
         nargs="?",

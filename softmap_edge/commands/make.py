@@ -226,7 +226,7 @@ class SweepOptions:
 
 
 def sweep_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of `sweep`."""
+    """Declare the arguments of `model sweep`."""
     parser.add_argument("finger", nargs="?", help="finger.toml; without it the built-in finger")
     parser.add_argument(
         "--out",

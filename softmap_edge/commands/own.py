@@ -16,6 +16,7 @@ from softmap_edge.model.bundle import builtin_model, load_bundle
 from softmap_edge.model.model import Model
 from softmap_edge.model.user_effect import load_effect
 
+BUILTIN = "builtin"  # name of the built-in finger where a bundle is asked for
 # value of --trust-onnx; valid for this process, like the effects of --effects
 _trust_onnx: list[bool] = []
 
@@ -66,7 +67,8 @@ def load_own(args: OwnOptions) -> list[str]:
 
 def open_model(path: str | None) -> Model:
     """Return a bundle's model, or the built-in finger; a bundle's code runs only if allowed."""
-    return builtin_model() if path is None else load_bundle(path, ask, ask_onnx)
+    builtin = path is None or (path == BUILTIN and not Path(path).exists())
+    return builtin_model() if builtin else load_bundle(str(path), ask, ask_onnx)
 
 
 def ask_onnx(file: Path, sha256: str) -> bool:

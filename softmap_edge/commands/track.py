@@ -313,8 +313,8 @@ def _document(
 
 
 def _text(summary: Document) -> str:
-    def numbers(name: str) -> str:
-        return "{mean:.2f} ± {sd:.2f} mm, at most {max:.2f} mm, {n} times".format(**summary[name])
+    def numbers(name: str, things: str) -> str:
+        return "{mean:.2f} ± {sd:.2f} mm (max {max:.2f}, {n} {0})".format(things, **summary[name])
 
     lines = [
         f"{summary['figure']}: {summary['waypoints']} waypoints in {summary['seconds']:.1f} s, "
@@ -332,7 +332,7 @@ def _text(summary: Document) -> str:
             f"part of it is out of reach, by up to {summary['unreachable_mm']:.2f} mm: the "
             "nearest points are taken"
         )
-    lines.append(f"the model expects the tip off by {numbers('expected_mm')}")
+    lines.append(f"expected tip error {numbers('expected_mm', 'waypoints')}")
     if summary["servos_s"]:
         lines.append(
             "servos answer {delay:.3f} s late, with a lag of {lag:.3f} s: previewed".format(
@@ -344,7 +344,7 @@ def _text(summary: Document) -> str:
             "how late the servos answer could not be measured: nothing of it was previewed"
         )
     if summary["seen_mm"]:
-        lines.append(f"the camera saw it off by {numbers('seen_mm')}")
+        lines.append(f"measured tip error {numbers('seen_mm', 'frames')}")
         if summary["hidden"] == [] and summary["effects"]:
             lines.append(
                 "the emulated finger has no hidden effect, so compensating "
@@ -355,7 +355,7 @@ def _text(summary: Document) -> str:
             fed = ", and nothing was fed back then" if summary["observed"] else ""
             lines.append(f"the tip was not seen for {summary['unseen_s']:.1f} s of it{fed}")
     elif summary["driven"]:
-        lines.append("no camera: how far off it really was is not known")
+        lines.append("no camera: the true tip error is not known")
     lines += [
         f"{summary[name]}: written" for name in ("record", "seen", "picture") if summary[name]
     ]

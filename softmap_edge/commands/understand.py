@@ -19,15 +19,17 @@ from softmap_edge.commands.output import (
     check_kept,
     next_command,
 )
-from softmap_edge.commands.own import effects_argument, load_own, open_model
+from softmap_edge.commands.own import BUILTIN, effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.seeing import camera_arguments
 from softmap_edge.errors import SoftmapError, no_name
 from softmap_edge.files.atomic import Document, write_atomically
+from softmap_edge.files.numbers import fall, percent
 from softmap_edge.model.user_effect import check_hashes
 from softmap_edge.robot.drive.recorded import open_run
 
 if TYPE_CHECKING:
+    from softmap_edge.comparison.comparison import Comparison
     from softmap_edge.diagnosis.document import Diagnosis
     from softmap_edge.model.model import Model
     from softmap_edge.run.run import Run
@@ -59,7 +61,10 @@ def compare_arguments(parser: argparse.ArgumentParser) -> None:
         "--bundle",
         action="append",
         metavar="DIR",
-        help="the model (default: the built-in finger); give two to see both",
+        help=(
+            f"the model, or `{BUILTIN}` (default: the built-in finger); give two to see them side "
+            "by side, before and after"
+        ),
     )
     effects_argument(parser)
     parser.add_argument(
@@ -97,10 +102,36 @@ def compare(args: CompareOptions) -> int:
         print(pair_text(found[0], found[-1]) if len(found) > 1 else found[0])
         better = found[-1].error["rms_mm"] <= found[0].error["rms_mm"]
         bundle = None if not args.bundle else args.bundle[-1 if better else 0]
-        print(next_command("diagnose", args.run, "--out", "diagnosis.json", bundle=bundle))
+        if done := _nothing_left(found[0], found[-1] if better else found[0]):
+            print(done)
+        else:
+            print(next_command("diagnose", args.run, "--out", "diagnosis.json", bundle=bundle))
     if args.html:
         write_page(args.html, run, models[0], models[-1], None, "measured")
     return int(len(found) > 1 and found[-1].error["rms_mm"] > found[0].error["rms_mm"])
+
+
+NEAR_FLOOR = 1.5  # times the noise floor: a diagnosis finds little below it
+REMOVED = 0.9  # share of the error above the floor; a diagnosis calls the rest unexplained below it
+
+
+def _nothing_left(before: Comparison, after: Comparison) -> str | None:
+    """Return why a run need not be diagnosed with the model of `after`; None if it is worth it."""
+    old, new, floor = before.error["rms_mm"], after.error["rms_mm"], after.noise_floor_mm
+    if floor is None or after.floor_is_bound:
+        return None
+    if new <= NEAR_FLOOR * floor:
+        return (
+            f"The error is within {NEAR_FLOOR:g} times the noise floor: a diagnosis of this run "
+            "would find little."
+        )
+    gone = fall(old, new, floor)
+    if gone is not None and gone >= REMOVED:
+        return (
+            f"{percent(gone)} of the error above the noise floor is gone: this run validates the "
+            "second model."
+        )
+    return None
 
 
 @dataclass(frozen=True)
@@ -492,7 +523,11 @@ def _write(args: AddOptions | RemoveOptions | RefitOptions, model: Model, report
     if "before_rms_mm" in report:
         before, after = report["before_rms_mm"], report["after_held_out_rms_mm"]
         print(f"error {before:.3f} mm RMS (as the bundle stood) -> {after:.3f} mm RMS (held out)")
-    print(next_command("compare", "ANOTHER_RUN", bundle=str(args.out)))
+    print(
+        next_command(
+            "compare", "ANOTHER_RUN", "--bundle", args.bundle or BUILTIN, bundle=str(args.out)
+        )
+    )
     return 0
 
 

@@ -24,12 +24,20 @@ from softmap_edge.checks.lost_points import without_lost
 from softmap_edge.errors import ComparisonError
 from softmap_edge.files.atomic import Document
 from softmap_edge.model.views import members, roll_seen, without_roll
-from softmap_edge.noise.floor import BOUND, commanded, memoryless_floor, noise_floor, rms
+from softmap_edge.noise.floor import (
+    BOUND,
+    commanded,
+    memoryless_floor,
+    noise_floor,
+    rms,
+    some_points,
+)
 from softmap_edge.run.conditions import Bin, Cell, cells, conditions
 from softmap_edge.run.run import Run, known
 
 if TYPE_CHECKING:
     from softmap_edge.model.model import Model
+    from softmap_edge.noise.memoryless import Repeats
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -39,15 +47,21 @@ SCHEMA = "softmap.comparison/1"
 
 @dataclass(frozen=True)
 class MemorylessFloor:
-    """The noise floor in mm RMS of all models without memory, and the data behind it.
+    """The lowest error of any model without memory on the frames whose pose is repeated.
 
-    It is estimated from `poses` that were visited repeatedly, in `passages` and `frames`.
+    Attributes:
+        mm: this error, RMS in mm.
+        poses: number of poses that were visited repeatedly.
+        passages: number of their visits.
+        frames: number of their frames.
+        error_mm: error of the compared model on these frames, RMS in mm; None if unknown.
     """
 
     mm: float
     poses: int
     passages: int
     frames: int
+    error_mm: float | None = None
 
     def to_dict(self) -> Document:
         """Return it as plain numbers."""
@@ -200,9 +214,21 @@ def compare(model: Model, run: Run) -> Comparison:
         where=where,
         worst=_worst(where, squared, visible, run),
         made_from=_made_from(kind, model, run),
-        memoryless=None
-        if repeats is None
-        else MemorylessFloor(repeats.mm, repeats.poses, repeats.passages, len(repeats.rows)),
+        memoryless=_floor_of(repeats, squared, visible),
+    )
+
+
+def _floor_of(repeats: Repeats | None, squared: Floats, visible: Mask) -> MemorylessFloor | None:
+    """Return the lowest error without memory, and the model's error on the same points."""
+    if repeats is None or not math.isfinite(repeats.lowest_mm):
+        return None
+    points = np.ix_(repeats.rows, some_points(visible))
+    return MemorylessFloor(
+        repeats.lowest_mm,
+        repeats.poses,
+        repeats.passages,
+        len(repeats.rows),
+        rms(squared[points][visible[points]]),
     )
 
 
@@ -356,11 +382,16 @@ def _length(value: float | None) -> float:
 
 
 def _memoryless(entry: Document | None) -> MemorylessFloor | None:
-    """Read the noise floor of models without memory; earlier documents have none."""
+    """Read the lowest error of models without memory; earlier documents have none."""
     if entry is None:
         return None
+    error = entry.get("error_mm")
     return MemorylessFloor(
-        float(entry["mm"]), *(int(entry[key]) for key in ("poses", "passages", "frames"))
+        float(entry["mm"]),
+        int(entry["poses"]),
+        int(entry["passages"]),
+        int(entry["frames"]),
+        None if error is None else float(error),
     )
 
 

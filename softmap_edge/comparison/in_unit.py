@@ -30,8 +30,13 @@ def comparison_in_unit(comparison: Comparison) -> Comparison:
     def bin_of(row: Bin) -> Bin:
         return replace(row, rms_mm=output.value(row.rms_mm))
 
+    lowest = comparison.memoryless
+    if lowest is not None:
+        error = None if lowest.error_mm is None else output.value(lowest.error_mm)
+        lowest = replace(lowest, mm=output.value(lowest.mm), error_mm=error)
     return replace(
         comparison,
+        memoryless=lowest,
         error={key: output.value(value) for key, value in comparison.error.items()},
         noise_floor_mm=None if floor is None else output.value(floor),
         where=renamed_maps(

@@ -63,7 +63,7 @@ def comparison_text(comparison: Comparison) -> str:
     scale = max(error[key] for _, key in named)
     lines += [f"  {label:<12}{mm(error[key]):>7}  {bar(error[key], scale)}" for label, key in named]
     lines.append(f"  {'noise floor':<12}{mm(floor):>7}  {bar(floor or 0.0, scale)}")
-    lines += _memoryless_lines(comparison, scale)
+    lines += _memoryless_lines(comparison, scale, unit)
     lines += folded(f"floor: {comparison.floor_kind}", 2)
     lines += ["", f"Where the error is (RMS {unit}; full bar = {mm(_top([comparison]))} {unit})"]
     scale = _top([comparison])
@@ -156,17 +156,18 @@ def check_pair(before: Comparison, after: Comparison) -> None:
         )
 
 
-def _memoryless_lines(comparison: Comparison, scale: float) -> list[str]:
-    """Return the noise floor of all models without memory, and the data behind it."""
+def _memoryless_lines(comparison: Comparison, scale: float, unit: str) -> list[str]:
+    """Return the lowest error of all models without memory, and the frames that it is of."""
     floor = comparison.memoryless
     if floor is None:
         return folded("floor without memory: too few repeated poses to estimate it", 2)
+    own = "" if floor.error_mm is None else f"; this model has {mm(floor.error_mm)} {unit} there"
     return [
         f"  {'no memory':<12}{mm(floor.mm):>7}  {bar(floor.mm, scale)}",
         *folded(
-            "no memory: the floor of every model without memory on this run (same command, "
-            f"different shape); {floor.poses} poses in {floor.passages} passages, {floor.frames} "
-            "frames",
+            "no memory: no model without memory has a smaller error on the frames of repeated "
+            f"poses (same command, different shape){own}; {floor.poses} poses in {floor.passages} "
+            f"passages, {floor.frames} frames",
             2,
         ),
     ]

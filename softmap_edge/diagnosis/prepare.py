@@ -81,8 +81,8 @@ def candidates_of(
                     name, why, "a model learned with a robot.toml whose tendons push", of_model=True
                 )
             )
-        elif lacking := record.model.missing_for(name):
-            why = f"this model has no field {lacking[0]}"
+        elif record.model.missing_for(name):
+            why = "a model with the geometry of the body is needed"
             impossible.append(
                 Untestable(
                     name, why, "a model built from a finger.toml by this version", of_model=True

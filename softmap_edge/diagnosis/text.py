@@ -62,6 +62,7 @@ def diagnosis_text(document: Document) -> str:
 
 
 PARAMETERS = "fitted, ± 1 σ of the scatter alone; ratios have no unit"
+FEW = 3  # effects with one reason that a row names before the reason
 STATIC_ADDED = "+ static baseline"
 STATIC_NOTE = (
     "The static baseline is a polynomial of the command, fitted to the remaining error: "
@@ -226,13 +227,20 @@ def _alternative(row: Document) -> str:
 def untestable_rows(document: Document) -> list[tuple[str, str, str]]:
     """Return what a diagnosis cannot test as (effects, why, experiment).
 
-    Effects with the same reason share a row.
+    Effects with the same reason share a row: more than FEW are counted, then named.
     """
     rows: dict[tuple[str, str], list[str]] = {}
     for row in document.get("not_testable") or []:
         reason = (str(row.get("why") or ""), str(row.get("experiment") or ""))
         rows.setdefault(reason, []).append(str(row.get("name", "?")))
-    return [(", ".join(names), *reason) for reason, names in rows.items()]
+    return [_grouped(names, *reason) for reason, names in rows.items()]
+
+
+def _grouped(names: Sequence[str], why: str, experiment: str) -> tuple[str, str, str]:
+    """Return effects with one reason as a row: many by their number, their names after it."""
+    if len(names) <= FEW:
+        return ", ".join(names), why, experiment
+    return f"{len(names)} effects", f"{why.rstrip('. ')}: {', '.join(names)}", experiment
 
 
 def _untestable(row: tuple[str, str, str]) -> str:

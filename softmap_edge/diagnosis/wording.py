@@ -20,6 +20,7 @@ from softmap_edge.diagnosis.findings import (
 GROSS = 2.0  # ratio of fault to physics effect size that makes a fault the verdict
 # of the candidates: more untestable ones turn "nothing" into "inconclusive"
 UNTESTABLE_SHARE = 1 / 3
+NAMED = 6  # effects without a test that the sentence names
 LEFT_R2 = 0.12  # share above which a condition is named as a predictor of the unexplained error
 
 
@@ -125,7 +126,9 @@ def sentence_of(
     if verdict == "measurement_fault":
         fault = f"The measurement is at fault, not the model: {_names(faults)}"
         return f"{found if physics else fault}; {fall}.{lost}"
-    names = ", ".join(h.name for h in hidden)
+    first = sorted(hidden, key=lambda one: one.of_model)  # another recording can show the others
+    names = ", ".join(h.name for h in first[:NAMED])
+    names += f" and {len(hidden) - NAMED} more effects" if len(hidden) > NAMED else ""
     above = "the noise floor"
     if left.ordinary_mm is not None and left.ordinary_mm > (error.floor or 0.0):
         above += (

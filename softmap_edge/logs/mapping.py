@@ -445,14 +445,35 @@ def _labels(table: TomlTable, name: str, columns: list[Column], axes: int) -> tu
 
 
 def _label(triple: list[str], k: int) -> str:
-    """Return the shared part of three names without x, y, z: x1, y1, z1 are marker 1."""
+    """Return the shared part of three names without x, y, z and unit: x1, y1, z1 are marker 1."""
+    bare = [_UNIT.sub("", name) for name in triple]
     for turned in (False, True):  # x at the end, or the x in front
         cut = [
-            re.sub(r"[xX]|[yY]|[zZ]", "", name[::-1] if turned else name, count=1)
-            for name in triple
+            re.sub(r"[xX]|[yY]|[zZ]", _GAP, name[::-1] if turned else name, count=1)
+            for name in bare
         ]
-        shared = (cut[0][::-1] if turned else cut[0]).strip(" ._-:")
+        shared = _closed(cut[0][::-1] if turned else cut[0])
         if len(set(cut)) == 1 and shared:
             return f"marker {shared}" if shared.isdigit() else shared
     counted = {re.sub(r"[\[({]\d+[\])}]$", "", name).strip() for name in triple}  # p(1), p(2), p(3)
     return counted.pop() if len(counted) == 1 and not {""} & counted else f"marker {k}"
+
+
+_LENGTHS = "|".join([*LENGTH, "[µ\u03bc]m", "(?:milli|centi|micro)?met(?:er|re)s?", "inch(?:es)?"])
+_UNIT = re.compile(  # at the end of a name: `tip_x_mm`, `tip x (mm)`
+    rf"(?:[\s_.:-]*[\[(]\s*(?:{_LENGTHS})\s*[\])]|[\s_.:-]+(?:{_LENGTHS}))$", re.IGNORECASE
+)
+_GAP = "\0"  # in the place of x, y or z
+_MARKS = " ._-:"
+
+
+def _closed(name: str) -> str:
+    """Return a name without its gap, and without marks and brackets that held nothing else."""
+    before, _, after = name.partition(_GAP)
+    if before[-1:] + after[:1] in ("()", "[]"):  # tip (x)
+        before, after = before[:-1], after[1:]
+    if after[:1] in tuple(_MARKS):
+        after = after.lstrip(_MARKS) if before[-1:] in tuple(_MARKS) else after
+    elif after[:1] in (")", "]"):
+        before = before.rstrip(_MARKS)
+    return (before + after).strip(_MARKS)

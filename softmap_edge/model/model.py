@@ -90,7 +90,7 @@ class Model:
 
     @property
     def residual(self) -> Shape | None:
-        """The correction learned on top of the prior with these effects (`adapt`)."""
+        """The correction learned on top of the prior with these effects (`model adapt`)."""
         return self.structure.residual
 
     @property

@@ -90,7 +90,7 @@ def write_html(
         series: errors over time and over the body (`compare.series`), for the figures that need
             them
         ways: errors in mm RMS of models made in several ways, by name, and the run that they were
-            measured on (`adapt`)
+            measured on (`model adapt`)
         floor: the lowest error that a model can reach, mm, and its name, if known better than from
             the camera's noise
 
@@ -185,6 +185,8 @@ class ReportPage:
     families: list[ShownFamily]
     learned_title: str
     learned: list[str]
+    points_title: str
+    points: list[str]
     first_pictures: list[Picture]
     ways: list[tuple[str, float]]
     ways_on: str
@@ -205,6 +207,7 @@ def _page(story: Story) -> ReportPage:
     verdict = str(story.diagnosis["verdict"]) if story.diagnosis else ""
     install = pictures_missing()
     first, last = ([], []) if install else _pictures(story)
+    title, points = _points(story)
     return ReportPage(
         title=_title(story),
         badge=VERDICTS.get(verdict, verdict),
@@ -218,6 +221,8 @@ def _page(story: Story) -> ReportPage:
         families=[_family(row, document) for row in document.get("families") or []],
         learned_title=LEARNED,
         learned=[learned_line(row) for row in document.get("learned_in") or []],
+        points_title=title,
+        points=points,
         first_pictures=first,
         ways=[(name, value) for name, value in (story.ways or {}).items() if value is not None],
         ways_on=story.ways_on,
@@ -322,67 +327,178 @@ def _sentence(story: Story) -> str:
 
 
 def _cards(story: Story) -> list[Card]:
-    """Return the numbers at the top."""
-    error = (story.diagnosis or {}).get("error") or {}
-    old: float | None
-    new: float | None
-    if story.before is not None:
-        old, new = (
-            story.before.error["rms_mm"],
-            story.after.error["rms_mm"] if story.after else None,
-        )
-        floor, origin = story.floor or (
-            story.before.noise_floor_mm,
-            f"noise, RMS; {story.before.floor_kind}",
-        )
-        kind = story.series.kind if story.series else ""
-        data = {"held out": "a run not fitted", "fitted": "the run fitted"}.get(kind, "this run")
-        note = f"all {_things(story)}, {data}"
-    else:
-        data = str(error.get("kind", "held out"))
-        steps = [
-            value
-            for name, value in ladder_steps(error)
-            if name.startswith("+") and name != STATIC_ADDED
-        ]
-        old, new = number(error.get("model")), steps[-1] if steps else None
-        floor, origin, note = (
-            number(error.get("floor")),
-            str(error.get("floor_kind") or "floor"),
-            data,
-        )
-    rows = [
-        Card(
-            "error before" if new is not None else "error",
-            f"{mm(old)} {story.unit}",
-            f"RMS, {note}",
-            "before",
-        )
-    ]
-    before, after = number(old), number(new)
-    if before is not None and after is not None:
-        share = fall(
-            before, after, floor if floor is not None and (story.floor or after > floor) else None
-        )
-        rows.append(Card("error after", f"{mm(new)} {story.unit}", f"RMS, {note}", "after"))
-        rows.append(
-            Card(
-                "of the removable error gone",
-                percent(share),
-                f"{percent(fall(before, after))} of the raw error; {data}",
-                "after",
-            )
-        )
-    rows.append(Card("floor", f"{mm(floor)} {story.unit}", origin, "floor"))
-    if story.before is not None and story.after is None:
+    """Return the numbers at the top: one error before and after, and the floor of both.
+
+    They are those of the sentence above them: of a diagnosis its held-out error, else that of the
+    comparison.
+    """
+    found = _diagnosed(story)
+    if found is not None:
+        return _pair_cards(found, story.unit)
+    if story.before is None:
+        return []
+    shown = _compared(story, story.before)
+    rows = _pair_cards(shown, story.unit)
+    if shown.after is None:
         tip = story.before.error["tip_rms_mm"]
         most = f"{mm(story.before.error['p95_mm'])} {story.unit}"
         if story.places:
-            rows.insert(1, Card("error of the tip", f"{mm(tip)} mm", f"RMS, {data}", "before"))
+            rows.insert(
+                1, Card("error of the tip", f"{mm(tip)} mm", f"RMS, {shown.data}", "before")
+            )
         rows.insert(
-            1 + story.places, Card(f"95 % of {_things(story)} within", most, data, "before")
+            1 + story.places, Card(f"95 % of {_things(story)} within", most, shown.data, "before")
         )
     return rows
+
+
+@dataclass(frozen=True)
+class ShownErrors:
+    """One error before and after, with its floor.
+
+    Attributes:
+        before, after: RMS in the unit of the page; `after` is None if there is one model
+        floor: the same, None if unknown
+        floor_kind: the origin of the floor
+        bound: whether the floor is an upper bound, which an error may undercut
+        removable: whether the share of the removable error is counted above the floor
+        data: the data of both errors, in words
+        what: the measured quantity, with its data, in words
+        held: "held-out " if both errors are held out
+    """
+
+    before: float | None
+    after: float | None
+    floor: float | None
+    floor_kind: str
+    bound: bool
+    removable: bool
+    data: str
+    what: str
+    held: str = ""
+
+    @property
+    def share(self) -> float | None:
+        """The share of the removable error that is gone; None without a fall to count."""
+        before, after = number(self.before), number(self.after)
+        if before is None or after is None:
+            return None
+        return fall(before, after, self.floor if self.removable else None)
+
+
+def _diagnosed(story: Story) -> ShownErrors | None:
+    """Return the held-out error of a diagnosis before and after its effects; None without one."""
+    error = (story.diagnosis or {}).get("error") or {}
+    before = number(error.get("model"))
+    if before is None:
+        return None
+    steps = [
+        value
+        for name, value in ladder_steps(error)
+        if name.startswith("+") and name != STATIC_ADDED
+    ]
+    on = str(error.get("held_out_on") or error.get("kind") or "held out")
+    return ShownErrors(
+        before=before,
+        after=steps[-1] if steps else None,
+        floor=number(error.get("floor")),
+        floor_kind=str(error.get("floor_kind") or "origin not stated"),
+        bound=False,
+        removable=number(error.get("floor")) is not None,
+        data=on,
+        what=f"{_features(story)}; {on}",
+        held="held-out ",
+    )
+
+
+def _compared(story: Story, before: Comparison) -> ShownErrors:
+    """Return the error of all points of the compared run, by one model or two."""
+    kind = story.series.kind if story.series else ""
+    data = {"held out": "a run not fitted", "fitted": "the run fitted"}.get(kind, "this run")
+    new = story.after.error["rms_mm"] if story.after else None
+    floor, origin = story.floor or (before.noise_floor_mm, f"noise, RMS; {before.floor_kind}")
+    above = floor is not None and (bool(story.floor) or (new is not None and new > floor))
+    return ShownErrors(
+        before=before.error["rms_mm"],
+        after=new,
+        floor=floor,
+        floor_kind=origin,
+        bound=not story.floor and before.floor_is_bound,
+        removable=above,
+        data=data,
+        what=f"all {_things(story)}, {data}",
+    )
+
+
+def _pair_cards(shown: ShownErrors, unit: str) -> list[Card]:
+    """Return the cards of one error before and after, and its floor."""
+    name = f"{shown.held}error" + ("" if shown.after is None else " before")
+    rows = [Card(name, f"{mm(shown.before)} {unit}", f"RMS, {shown.what}", "before")]
+    if number(shown.after) is not None and number(shown.before) is not None:
+        note = f"RMS, {shown.what}"
+        rows.append(Card(f"{shown.held}error after", f"{mm(shown.after)} {unit}", note, "after"))
+        raw = percent(fall(float(shown.before or 0.0), float(shown.after or 0.0)))
+        rows.append(
+            Card(
+                "of the removable error gone",
+                percent(shown.share),
+                f"{raw} of the raw error; {shown.data}",
+                "after",
+            )
+        )
+    most = "≤ " if shown.bound and shown.floor is not None else ""
+    label = "floor, an upper bound" if most else "floor"
+    return [*rows, Card(label, f"{most}{mm(shown.floor)} {unit}", shown.floor_kind, "floor")]
+
+
+def _features(story: Story) -> str:
+    """Return the quantity that a diagnosis measures."""
+    return "middles of sections, or markers" if story.places else "outputs"
+
+
+def _points(story: Story) -> tuple[str, list[str]]:
+    """Return the title and sentences of the part that shows all points next to a diagnosis.
+
+    Its errors differ from those of the diagnosis, so the sentences state both differences.
+    """
+    if story.before is None or _diagnosed(story) is None:
+        return "", []
+    shown = _compared(story, story.before)
+    kind = story.series.kind if story.series else ""
+    title = {
+        "held out": f"Validation: all {_things(story)} of a run that was not fitted",
+        "fitted": f"The fitted run: all {_things(story)}",
+    }.get(kind, f"The compared run: all {_things(story)}")
+    old, new, unit = mm(shown.before), mm(shown.after), story.unit
+    text = [
+        f"Error {old} {unit} RMS."
+        if shown.after is None
+        else f"Error before {old} {unit} RMS, after {new} {unit} RMS"
+        + (
+            f"; {percent(shown.share)} of the removable error is gone (floor {mm(shown.floor)} "
+            f"{unit}: {shown.floor_kind})."
+            if story.floor
+            else "."
+        )
+    ]
+    if not story.floor and shown.floor is not None:
+        one, most = ("point" if story.places else "output"), "at most " * shown.bound
+        text.append(
+            f"The noise of one {one} is {most}{mm(shown.floor)} {unit} RMS "
+            f"({story.before.floor_kind})."
+        )
+    on = str(((story.diagnosis or {}).get("error") or {}).get("held_out_on") or "held-out blocks")
+    same = kind == "held out" and on.startswith("an independent run")
+    text.append(
+        f"The pictures below show these {_things(story)}. The numbers at the top are of "
+        f"{'the same run' if same else on}."
+    )
+    if story.places and story.series is not None and story.series.triangles is not None:
+        text.append(
+            "They are measured at the middles of the body's sections, which have less noise than "
+            "single points."
+        )
+    return title, text
 
 
 def _time(story: Story, figures: ModuleType) -> Picture | None:
@@ -462,16 +578,25 @@ def _ladder(story: Story, figures: ModuleType) -> Picture | None:
     unit, on = error.get("unit", PLACES), error.get("held_out_on")
     note = f"{error.get('kind', 'held-out rms')}{f' on {on}' if on else ''}, {unit}. "
     note += f"Floor: {error.get('floor_kind', 'origin not stated')}. "
-    known = [
-        ("Noise floor", error.get("noise_floor")),
-        ("Model's own held-out error", error.get("model_floor")),
-    ]
-    note += "".join(
-        f"{name}: {mm(value)} {unit} RMS. " for name, value in known if number(value) is not None
-    )
+    note += _other_floor(error, unit)
     note += LADDER_NOTE if story.places else OUTPUT_NOTE
     drawn = figures.ladder_bars(error)
     return Picture("What each effect removes", drawn, "Error ladder down to the floor", note)
+
+
+def _other_floor(error: Document, unit: str) -> str:
+    """Return the estimate that is not the floor of the ladder, and why it is not."""
+    floor, noise, form = (number(error.get(key)) for key in ("floor", "noise_floor", "model_floor"))
+    if floor is None:
+        return ""
+    if form is not None and form != floor:
+        return f"The model's own held-out error is another limit: {mm(form)} {unit} RMS. "
+    if noise is not None and noise != floor:
+        return (
+            f"The noise estimate of {mm(noise)} {unit} RMS is no floor, because too few poses "
+            "repeat. "
+        )
+    return ""
 
 
 def _where(story: Story, figures: ModuleType) -> Picture | None:

@@ -223,6 +223,29 @@ def test_noise_floor_of_a_moving_body_ignores_what_the_model_misses(seconds, sou
     assert source in found.made_from["noise_floor"]
 
 
+def test_the_lowest_error_without_memory_is_compared_with_the_model_on_the_same_frames():
+    t = np.arange(0.0, 80.0, 0.02)
+    u = np.column_stack([10.0 * np.sin(2 * np.pi * t / 8.0), 0.0 * t])
+    run = record(t, u, np.arange(0.0, 79.5, 0.2), noise=0.1)
+    behind = np.gradient(np.interp(run.t_seen, t, u[:, 0]))[:, None] > 0  # one way only
+
+    def play(run, points):
+        out = np.zeros_like(points)
+        out[..., 0] = 2.0 * behind
+        return out
+
+    seen = replace(run, vertices=run.vertices + play(run, run.vertices))
+    found = compare(lean(), seen)
+    assert found.memoryless.mm < found.memoryless.error_mm  # a model without memory
+    assert found.memoryless.mm == pytest.approx(1.0, rel=0.1)  # half the distance of both ways
+    assert found.memoryless.error_mm == pytest.approx(np.sqrt(2.0), rel=0.1)
+    assert f"this model has {found.memoryless.error_mm:.2f} mm there" in " ".join(
+        str(found).split()
+    )
+    known = compare(lean(play), seen)
+    assert known.memoryless.error_mm < 0.3 < known.memoryless.mm == found.memoryless.mm
+
+
 def test_document_survives_json():
     found = compare(lean(lambda run, p: 1.0), triangle(noise=0.1))
     document = json.loads(json.dumps(found.to_dict(), allow_nan=False))

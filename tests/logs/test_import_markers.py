@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from logs import ONE_LOG, fault, imported, made_log
 
+from softmap_edge.logs.mapping import _label
 from softmap_edge.logs.swaps import find_swaps, mend_swaps
 
 NAMES = ("first", "second", "third")
@@ -149,6 +150,27 @@ def test_dropouts_are_counted_by_name(tmp_path):
     done = imported(tmp_path, written(t, points), MAP)
     assert any("third 25.0 %, first 0.2 %" in note for note in done.notes)
     assert done.run.visible.sum() == 1200 - 101
+
+
+@pytest.mark.parametrize(
+    ("x", "label"),
+    [
+        ("marker_0_x_mm", "marker_0"),
+        ("marker_0 x (mm)", "marker_0"),
+        ("Marker A (Position X) [m]", "Marker A (Position)"),
+        ("tip-X(µm)", "tip"),
+        ("tip (x)", "tip"),
+        ("tip_x_base_mm", "tip_base"),
+        ("box_x", "box"),
+        ("px_tip", "p_tip"),
+        ("x_mm", "marker 7"),  # the unit names no marker
+        ("x1", "marker 1"),
+    ],
+)
+def test_the_name_of_a_marker_is_that_of_its_columns_without_axis_and_unit(x, label):
+    place = max(x.rfind("x"), x.rfind("X"))
+    names = [x[:place] + axis + x[place + 1 :] for axis in ("xyz" if x[place] == "x" else "XYZ")]
+    assert _label(names, 7) == label
 
 
 def test_labels_are_the_columns_common_names_or_given(tmp_path):

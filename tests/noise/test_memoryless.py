@@ -2,6 +2,8 @@
 the noise.
 """
 
+from dataclasses import fields, replace
+
 import numpy as np
 import pytest
 from bending import at, record, shape
@@ -75,3 +77,30 @@ def test_commands_that_never_meet_again_show_nothing():
     seen = np.arange(1.0, 59.0, 0.2)
     state = conditions(record(t, u, seen), u)
     assert repeats_of(rng.normal(size=(len(seen), 9)), state) is None
+
+
+@pytest.mark.parametrize("play", [0.8, 2.5])
+def test_no_static_map_undercuts_the_lowest_error_on_the_frames_of_repeated_poses(play):
+    """Few passages of a pose scatter less about their own mean than further visits would."""
+    values, state = sines(play, 0.1)
+    few = np.arange(len(values)) < 0.45 * len(values)
+    for frames in (np.flatnonzero(few), np.arange(len(values))):
+        part = replace(
+            state,
+            **{
+                field.name: value[frames]
+                for field in fields(state)
+                if isinstance(value := getattr(state, field.name), np.ndarray)
+                and len(value) == len(values)
+            },
+        )
+        found = repeats_of(values[frames], part)
+        x = part.command[:, 0] / np.abs(part.command[:, 0]).max()
+        basis = np.polynomial.legendre.legvander(x, 15)
+        left = (
+            values[frames]
+            - basis @ np.linalg.lstsq(basis[found.rows], values[frames][found.rows], rcond=None)[0]
+        )[found.rows]
+        reached = float(np.sqrt(np.mean(np.sum(left.reshape(len(left), -1, 3) ** 2, axis=2))))
+        assert 0.8 * reached < found.lowest_mm < 1.005 * reached
+        assert found.lowest_mm < found.mm

@@ -3,6 +3,7 @@ by a test.
 """
 
 import argparse
+import ast
 import importlib.util
 import json
 import re
@@ -15,6 +16,7 @@ from page import ROOT, blocks
 
 from softmap_edge import _core, builtin_model, cli, compare, diagnose, save_bundle
 from softmap_edge.cli import main
+from softmap_edge.commands import RENAMED
 from softmap_edge.robot.servo.rig import read_rig
 from softmap_edge.robot.servo.rig_ceiling import RANGES
 from softmap_edge.run.protocol import standard_protocol
@@ -59,6 +61,51 @@ def test_every_command_and_option_is_on_the_page():
                 ), option
 
 
+# pages whose names in backticks are other things: the old names themselves, Python names, modules
+OTHER_NAMES = ("cli.md", "python.md", "architecture.md")
+OLD = "|".join(RENAMED)
+
+
+def old_names(text):
+    """Return the old names of commands in a text: `softmap OLD`, and OLD in backticks."""
+    found = re.findall(rf"softmap\s+({OLD})\b|`({OLD})(?=`|\s[^`]*`)", text)
+    return [first or second for first, second in found]
+
+
+@pytest.mark.parametrize(
+    "page",
+    [page for page in (*PAGES, ROOT / "CHANGELOG.md") if page.name not in OTHER_NAMES],
+    ids=lambda page: str(page.relative_to(ROOT)),
+)
+def test_no_page_uses_an_old_name_of_a_command(page):
+    assert old_names(page.read_text(encoding="utf-8")) == []
+
+
+def test_no_message_help_or_example_uses_an_old_name_of_a_command():
+    """Adjacent strings are one text here, as they are printed."""
+    for file in [*(ROOT / "softmap_edge").rglob("*.py"), *(ROOT / "training").rglob("*.py")]:
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            texts = [node] if isinstance(node, ast.Constant) else getattr(node, "values", [])
+            text = "".join(
+                part.value if isinstance(part.value, str) else "…"
+                for part in texts
+                if isinstance(part, ast.Constant)
+            )
+            assert not re.search(rf"softmap\s+({OLD})\b", text), (file, node.lineno, text)
+    for file in (ROOT / "examples").iterdir():
+        if file.suffix in (".py", ".toml", ".md"):
+            assert old_names(file.read_text(encoding="utf-8")) == [], file
+    for command in cli.commands_here():
+        assert all(example.split()[0] not in RENAMED for example in command.examples), command
+
+
+def test_an_old_name_on_a_page_would_be_found():
+    assert old_names("`softmap doctor` and `adapt`, but `model adapt`, `effects.json`") == [
+        "doctor",
+        "adapt",
+    ]
+
+
 def anchors(page):
     """Return the anchors of a page's headings, as MkDocs and GitHub make them."""
     heads = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
@@ -76,6 +123,22 @@ def test_links_lead_somewhere(page):
         file = (page.parent / path).resolve() if path else page
         assert file.is_file(), target
         assert not anchor or anchor in anchors(file), target
+
+
+def test_the_first_picture_has_a_text_and_a_caption():
+    for page in (ROOT / "README.md", ROOT / "docs/index.md"):
+        (picture,) = re.findall(
+            r"^!\[([^\]]{40,})\]\([^)]*\)\n\n\*[^*\n]+\*$", page.read_text("utf-8"), re.MULTILINE
+        )
+        assert "before" in picture and "after" in picture
+
+
+def test_long_lines_of_code_wrap_on_the_site():
+    config = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    (style,) = re.findall(r"^extra_css: \[([^\]]+)\]$", config, re.MULTILINE)
+    assert "pre > code { font-size: .76em; white-space: pre-wrap;" in (
+        ROOT / "docs" / style
+    ).read_text(encoding="utf-8")
 
 
 def test_every_page_is_on_the_site():

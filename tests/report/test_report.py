@@ -4,11 +4,13 @@ page.
 
 import copy
 import re
+from dataclasses import replace
 
 import pytest
 from leaning_triangle import triangle
 from report_documents import DIAGNOSIS, compared, page
 
+from softmap_edge.commands.understand import _nothing_left
 from softmap_edge.comparison.comparison import compare
 from softmap_edge.comparison.text import pair_text
 from softmap_edge.diagnosis.findings import (
@@ -18,6 +20,7 @@ from softmap_edge.diagnosis.findings import (
     Finding,
     Rung,
     Unexplained,
+    Untestable,
 )
 from softmap_edge.diagnosis.text import VERDICTS, diagnosis_text, parameter
 from softmap_edge.diagnosis.wording import OwnMisfit, sentence_of, verdict_of
@@ -74,6 +77,28 @@ def test_a_rise_is_called_a_rise(pair):
     assert "ROSE from 0.357 to 3.46 mm" in text and text.count("▓") > 1
 
 
+def test_a_run_at_its_floor_is_not_proposed_for_a_diagnosis(pair):
+    """Nor one whose error above the floor is gone; a floor that is a bound excludes neither."""
+    _, _, _, before, after = pair
+
+    def off(old, new, kind="frames of one dwell"):
+        one, two = (
+            replace(
+                comparison,
+                error=comparison.error | {"rms_mm": rms},
+                noise_floor_mm=0.2,
+                made_from={"noise_floor": kind},
+            )
+            for comparison, rms in ((before, old), (after, new))
+        )
+        return _nothing_left(one, two)
+
+    assert off(2.0, 1.0) is None and off(1.0, 1.0) is None
+    assert "within 1.5 times the noise floor" in off(0.3, 0.3)
+    assert off(3.0, 0.4).startswith("93 % of the error above the noise floor is gone")
+    assert off(0.3, 0.3, "memory counts as noise: an upper bound") is None
+
+
 def test_pairs_of_different_runs_are_refused(pair, tmp_path):
     other = compare(pair[1], triangle(noise=0.05, seed=5))
     with pytest.raises(ReportError, match="different runs"):
@@ -105,6 +130,29 @@ def test_diagnosis_says_everything_it_knows():
     ):
         assert part in text, part
     assert max(map(len, text.splitlines())) <= 100
+
+
+def test_effects_that_cannot_be_tested_for_one_reason_share_a_line(tmp_path):
+    """A robot without geometry lacks what a dozen effects need; it is one limit, not a dozen."""
+    document = copy.deepcopy(DIAGNOSIS)
+    names = ["twist", "kink", "contact", "routing"]
+    reason = {"why": "a model with the geometry of the body is needed", "experiment": "build one"}
+    document["not_testable"] += [{"name": name} | reason for name in names]
+    text = " ".join(diagnosis_text(document).split())
+    assert f"· 4 effects: {reason['why']}: {', '.join(names)}. To test it: build one." in text
+    assert "· thermal_softening: no temperature" in text
+    shown = page(write_html(tmp_path / "p.html", None, document))
+    assert "<dt>4 effects</dt>" in shown and shown.count(reason["why"]) == 1
+
+
+def test_the_sentence_names_few_effects_that_cannot_be_shown():
+    hidden = [Untestable(f"law{k}", of_model=k < 3) for k in range(9)]
+    text = sentence_of(
+        "cannot_tell", [], [], [], [], Unexplained(), hidden, ErrorLadder(floor=0.1), []
+    )
+    assert text.endswith(
+        "These data cannot show law3, law4, law5, law6, law7, law8 and 3 more effects."
+    )
 
 
 def test_what_is_not_known_is_not_printed():

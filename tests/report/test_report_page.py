@@ -54,6 +54,29 @@ def test_the_page_says_once_where_its_error_was_measured_and_shows_no_empty_colu
     assert "1.82 / 1.50" in text
 
 
+def test_a_diagnosis_has_one_error_before_and_after_at_the_top_and_one_floor(pair, tmp_path):
+    """The error of all points is another number; its part says of which data, and why."""
+    run, worse, better, before, after = pair
+    on = copy.deepcopy(DIAGNOSIS)
+    on["error"]["held_out_on"] = "blocks of the run that was fitted"
+    for kind, title in (("fitted", "The fitted run"), ("held out", "Validation")):
+        given = series(run, worse, better, kind=kind)
+        text = page(write_html(tmp_path / "page.html", [before, after], on, given))
+        cards = re.findall(r'<div class="card \w+"><b>([^<]*)</b><span>([^<]*)</span>', text)
+        assert cards == [
+            ("2.41 mm", "held-out error before"),
+            ("0.930 mm", "held-out error after"),
+            ("67 %", "of the removable error gone"),
+            ("0.210 mm", "floor"),
+        ]
+        (part,) = re.findall(rf"<h2>{title}: all points[^<]*</h2>\s*<p[^>]*>([^<]*)</p>", text)
+        assert "Error before 3.46 mm RMS, after 0.357 mm RMS" in part
+        assert "The noise of one point is " in part
+        assert "The numbers at the top are of blocks of the run that was fitted." in part
+        assert "middles of the body&#39;s sections, which have less noise" in part
+        assert "Noise floor" not in text and "is another limit" not in part
+
+
 def test_a_floor_that_is_known_stands_for_the_noise(pair, tmp_path):
     run, worse, better, before, after = pair
     floor = 0.5 * after.error["rms_mm"]
@@ -83,7 +106,7 @@ def test_a_floor_that_is_an_upper_bound_is_called_one(pair, tmp_path):
             == bound
         )
         assert f"<i>noise, RMS; {escape(found.floor_kind)}</i>" in text
-        assert ("upper bound" in text) == bound
+        assert ("upper bound" in text) == ("<b>≤ " in text) == bound
 
 
 def test_no_label_of_a_condition_is_cut_off(monkeypatch):
@@ -110,6 +133,16 @@ def test_no_label_of_a_condition_is_cut_off(monkeypatch):
                 assert (
                     right <= axes.get_window_extent().x0 and min(box.x0 for box in boxes) >= right
                 )
+
+
+def test_a_narrow_page_scrolls_its_tables_and_breaks_no_word():
+    """`anywhere` lets a column of a table shrink to one letter; `break-word` does not."""
+    from softmap_edge.report.pages import TEMPLATES
+
+    style = (TEMPLATES / "style.css").read_text(encoding="utf-8")
+    for line in style.splitlines():
+        assert "anywhere" not in line or line.startswith("pre "), line
+    assert "section { overflow-x: auto;" in style and "minmax(min(420px, 100%), 1fr)" in style
 
 
 def test_same_input_gives_the_same_page(pair, tmp_path):

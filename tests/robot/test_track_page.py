@@ -1,16 +1,19 @@
-"""docs/do/track.md as its reader types it: its commands in order; figures, options and the paper's
-columns are true.
+"""docs/do/track.md as its reader types it: its commands in order, and the lines that it quotes;
+figures, options and the paper's columns are true.
 """
 
 import argparse
+import contextlib
+import io
 import re
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import numpy as np
 import pytest
-from page import blocks, lines
+from page import blocks, lines, misquoted
 
+from softmap_edge import load_bundle
 from softmap_edge.cli import main
 from softmap_edge.commands.track import track_arguments
 from softmap_edge.report.figures import AFTER, INK
@@ -19,11 +22,8 @@ from softmap_edge.robot.motion.figures import FIGURES
 from softmap_edge.robot.motion.kinematics import METHODS
 from softmap_edge.synthetic.table_two import ALTERNATIVE, COMPENSATED, OURS, PUBLISHED_ERRORS
 
-pytestmark = pytest.mark.long
-
 PAGE = (Path(__file__).parents[2] / "docs/do/track.md").read_text(encoding="utf-8")
 PATH = "{http://www.w3.org/2000/svg}path"
-SHORT = ["--duration", "6"]  # of what moves: the page's own 20 s change nothing else
 
 
 @pytest.fixture(scope="module")
@@ -32,16 +32,13 @@ def page(tmp_path_factory):
     there, printed = tmp_path_factory.mktemp("page"), {}
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(there)
-        patch.setattr(
-            "builtins.print",
-            lambda *a, **k: printed.setdefault(said, []).append(" ".join(map(str, a))),
-        )
         for language, text in blocks(PAGE):
             for words in lines(text) if language == "" else ():
                 assert words[0] == "softmap"
-                said = " ".join(words[1:])
-                assert main(words[1:] + (SHORT if "--sim" in words else [])) == 0, printed[said]
-    return there, {said: "\n".join(parts) for said, parts in printed.items()}
+                with contextlib.redirect_stdout(io.StringIO()) as out:
+                    assert main(words[1:]) == 0, words
+                printed[" ".join(words[1:])] = out.getvalue().rstrip()
+    return there, printed
 
 
 def curves(file):
@@ -59,19 +56,34 @@ def curves(file):
     ]
 
 
+def test_the_lines_after_each_block_are_those_that_its_commands_print(page):
+    _, printed = page
+    commanded, quotes = [], 0
+    for language, text in blocks(PAGE.split("\n## 3.")[0]):
+        if language == "":
+            commanded = [" ".join(words[1:]) for words in lines(text)]
+            continue
+        assert language == "text"
+        assert misquoted(text, "\n".join(printed[said] for said in commanded)) is None
+        quotes += 1
+    assert quotes == 5
+
+
 def test_each_command_says_and_writes_what_the_page_says(page):
     there, printed = page
-    reach, point, plan, sim, off = printed.values()
+    reach, point, plan, sim, off, alone, _, _, found, *_ = printed.values()
     assert list(printed)[1] == "track --workspace --reach 60 0 60"
     assert "the tip rests at" in reach and "60.00 mm, along xyz: out of reach by" not in reach
     assert "out of reach by" in point and "nearest is" in point
-    assert "the model expects the tip off by 0.0" in plan and "camera" not in plan
-    assert "the camera saw it off by" in sim and "s.mcap: written\ns.seen: written" in sim
+    assert "expected tip error 0.0" in plan and "measured" not in plan
+    assert "s.mcap: written\ns.seen: written" in sim
     assert sim.endswith("next: softmap diagnose s.mcap")
-    assert 2.0 < float(re.search(r"saw it off by (\S+) ±", sim)[1]) < 4.0
     assert (
         "a run of 'moe-finger'" in off and 1.0 < float(re.search(r"  tip rms +(\S+)", off)[1]) < 4.0
     )
+    assert "Missing effects" not in alone and "backlash.gap" in found
+    assert "Alternatives" not in found  # as the page says
+    assert (there / "warm.csv").exists() and load_bundle(there / "found").params
     assert curves(there / "reach.svg")
     # target, and expected over it
     assert curves(there / "s.svg")[:2] == [(INK, "2.4"), (AFTER, "1.2")]
@@ -119,22 +131,11 @@ def test_table_ii_is_complete_with_the_papers_own_figures_as_other_data():
     assert "The paper's columns are of **other data**" in PAGE
 
 
-def test_the_commands_that_lead_from_a_recording_to_the_figure_are_commands(capsys):
-    """They move for two minutes: what they do is tested in tests/robot/test_record_robot.py."""
-    text, _ = (text for language, text in blocks(PAGE) if language == "text")
-    words = list(lines(text))
-    assert [line[1] for line in words] == ["next", "record", "diagnose", "add", "track"]
-    for line in words:
-        assert main([line[1], "--help"]) == 0
-        reported = capsys.readouterr().out
-        assert all(word in reported for word in line[2:] if word.startswith("--")), line
-
-
 def test_the_commands_of_table_ii_are_commands():
     """Training takes minutes: here the lines only fit together. The table runs in
     tests/synthetic/test_table_two.py.
     """
-    _, text = (text for language, text in blocks(PAGE) if language == "text")
+    (text,) = (text for _, text in blocks(PAGE.split("\n## 3.")[1]))
     words = list(lines(text))
     assert [line[1] for line in words] == ["train", "train", "model", "track"]
     parser = argparse.ArgumentParser()

@@ -8,6 +8,7 @@ import dataclasses
 import json
 import re
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ import pytest
 from command import SOFTMAP
 
 from softmap_edge import Run, compare, diagnose, import_logs, learn_model, load_bundle, read_mapping
+from softmap_edge.comparison.comparison import MemorylessFloor
 from softmap_edge.comparison.in_unit import comparison_in_unit
 from softmap_edge.comparison.series import Loop, series
 from softmap_edge.comparison.text import comparison_text
@@ -121,6 +123,9 @@ def test_compare_reports_newtons_that_are_those_of_the_log(damper: Path) -> None
     truth = float(np.sqrt(np.mean((predicted - run.outputs[:, 0]) ** 2)))
     found = compare(model, run)
     assert comparison_in_unit(found).error["rms_mm"] == pytest.approx(truth, rel=2e-3)
+    lowest = replace(found, memoryless=MemorylessFloor(3.0, 20, 50, 90, 4.0))
+    shown = comparison_in_unit(lowest).memoryless
+    assert (shown.mm, shown.error_mm) == (model.output.value(3.0), model.output.value(4.0))
     text = comparison_text(found)
     assert (
         "outputs, N" in text

@@ -43,3 +43,25 @@ def run_commands(page, there):
             for words in lines(text) if language != "text" else ():
                 assert words[0] in ("make", "softmap")
                 assert words[0] == "make" or main(words[1:]) == 0, words
+
+
+OMITTED = "…"  # a line of its own in a quote: lines of the output are left out here
+
+
+def misquoted(quote, printed):
+    """Return the first line of a quote that the output does not have there; None if all are right.
+
+    A line follows the one before it in the output, unless the mark OMITTED is between them.
+    """
+    made = [line.rstrip() for line in printed.splitlines()]
+    starts = [-1]  # places in the output after which the next line may stand
+    for line in map(str.rstrip, quote.splitlines()):
+        if line.strip() == OMITTED:
+            starts = list(range(min(starts, default=0), len(made))) if starts else []
+            continue
+        first = starts == [-1]
+        follow = {k for k in range(len(made)) if made[k] == line and (first or k - 1 in starts)}
+        if not follow:
+            return line
+        starts = sorted(follow)
+    return None
