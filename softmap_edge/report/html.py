@@ -10,7 +10,6 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 
 from softmap_edge.comparison.comparison import Comparison
 from softmap_edge.comparison.in_unit import comparison_in_unit, series_in_unit
@@ -25,8 +24,6 @@ from softmap_edge.diagnosis.family_text import (
     learned_line,
 )
 from softmap_edge.diagnosis.text import (
-    LADDER_NOTE,
-    OUTPUT_NOTE,
     STATIC_ADDED,
     again,
     alternative_name,
@@ -40,7 +37,9 @@ from softmap_edge.errors import ReportError
 from softmap_edge.files.atomic import Document, write_atomically
 from softmap_edge.files.numbers import fall, mm, number, percent, tamed
 from softmap_edge.report.pages import Card, Picture, pictures_missing, render
-from softmap_edge.run.in_unit import PLACES, in_unit, unit_of
+from softmap_edge.report.story import Story
+from softmap_edge.report.story_pictures import pictures
+from softmap_edge.run.in_unit import in_unit, unit_of
 
 # The tone of a verdict's badge: good, warn, bad or calm.
 TONES = {
@@ -52,25 +51,6 @@ TONES = {
     "measurement_fault": "bad",
 }
 Rows = list[tuple[str, str]]
-
-
-@dataclass(frozen=True)
-class Story:
-    """The content of a page; `before` and `after` are comparisons of the same run."""
-
-    before: Comparison | None
-    after: Comparison | None
-    diagnosis: Document | None
-    series: Series | None
-    floor: tuple[float, str] | None = None
-    ways: Mapping[str, float | None] | None = None
-    ways_on: str = ""
-    unit: str = PLACES  # of every number on the page except commands
-
-    @property
-    def places(self) -> bool:
-        """Whether the page is about a body; outputs have no shape to draw."""
-        return self.unit == PLACES
 
 
 def write_html(
@@ -206,7 +186,7 @@ def _page(story: Story) -> ReportPage:
     document = story.diagnosis or {}
     verdict = str(story.diagnosis["verdict"]) if story.diagnosis else ""
     install = pictures_missing()
-    first, last = ([], []) if install else _pictures(story)
+    first, last = ([], []) if install else pictures(story)
     title, points = _points(story)
     return ReportPage(
         title=_title(story),
@@ -248,21 +228,6 @@ def _page(story: Story) -> ReportPage:
     )
 
 
-def _pictures(story: Story) -> tuple[list[Picture], list[Picture]]:
-    """Return the figures above and below the tables."""
-    from softmap_edge.report import figures
-    from softmap_edge.report.loop_figure import loop_picture
-
-    loops = (
-        None
-        if story.series is None
-        else loop_picture(story.series, story.unit, story.diagnosis, _short(story))
-    )
-    first = (loops, _sheet(story), _where(story, figures), _ladder(story, figures))
-    last = (_time(story, figures), _body(story, figures), _tip(story, figures))
-    return [one for one in first if one is not None], [one for one in last if one is not None]
-
-
 def _title(story: Story) -> str:
     robot = (story.before.bundle if story.before else {}).get("robot")
     return f"{'Diagnosis' if story.diagnosis else 'Comparison'}{f' of {robot}' if robot else ''}"
@@ -277,15 +242,6 @@ def _kind(story: Story) -> str:
     if story.series is not None and story.series.kind in known:
         return known[story.series.kind]
     return "measured; whether this run took part in a fit is not recorded here"
-
-
-def _short(story: Story) -> str:
-    """Return the same for captions, in short form; the top of the page has the long form."""
-    return (
-        f"; {story.series.kind}"
-        if story.series is not None and story.series.kind != "measured"
-        else ""
-    )
 
 
 def _about(story: Story) -> list[str]:
@@ -315,7 +271,7 @@ def _sentence(story: Story) -> str:
         )
         floor, most = story.before.noise_floor_mm, "at most " * story.before.floor_is_bound
         return text + (
-            f"; {_noise(story)} is {most}{mm(floor)} {story.unit}." if floor is not None else "."
+            f"; {story.noise} is {most}{mm(floor)} {story.unit}." if floor is not None else "."
         )
     new = story.after.error["rms_mm"]
     if new > old:
@@ -347,7 +303,7 @@ def _cards(story: Story) -> list[Card]:
                 1, Card("error of the tip", f"{mm(tip)} mm", f"RMS, {shown.data}", "before")
             )
         rows.insert(
-            1 + story.places, Card(f"95 % of {_things(story)} within", most, shown.data, "before")
+            1 + story.places, Card(f"95 % of {story.things} within", most, shown.data, "before")
         )
     return rows
 
@@ -426,7 +382,7 @@ def _compared(story: Story, before: Comparison) -> ShownErrors:
         bound=not story.floor and before.floor_is_bound,
         removable=above,
         data=data,
-        what=f"all {_things(story)}, {data}",
+        what=f"all {story.things}, {data}",
     )
 
 
@@ -466,9 +422,9 @@ def _points(story: Story) -> tuple[str, list[str]]:
     shown = _compared(story, story.before)
     kind = story.series.kind if story.series else ""
     title = {
-        "held out": f"Validation: all {_things(story)} of a run that was not fitted",
-        "fitted": f"The fitted run: all {_things(story)}",
-    }.get(kind, f"The compared run: all {_things(story)}")
+        "held out": f"Validation: all {story.things} of a run that was not fitted",
+        "fitted": f"The fitted run: all {story.things}",
+    }.get(kind, f"The compared run: all {story.things}")
     old, new, unit = mm(shown.before), mm(shown.after), story.unit
     text = [
         f"Error {old} {unit} RMS."
@@ -490,7 +446,7 @@ def _points(story: Story) -> tuple[str, list[str]]:
     on = str(((story.diagnosis or {}).get("error") or {}).get("held_out_on") or "held-out blocks")
     same = kind == "held out" and on.startswith("an independent run")
     text.append(
-        f"The pictures below show these {_things(story)}. The numbers at the top are of "
+        f"The pictures below show these {story.things}. The numbers at the top are of "
         f"{'the same run' if same else on}."
     )
     if story.places and story.series is not None and story.series.triangles is not None:
@@ -499,125 +455,6 @@ def _points(story: Story) -> tuple[str, list[str]]:
             "single points."
         )
     return title, text
-
-
-def _time(story: Story, figures: ModuleType) -> Picture | None:
-    if story.series is None or story.series.timeless:
-        return None
-    return Picture(
-        "Error over time",
-        figures.over_time(story.series, story.unit),
-        "RMS error of each frame over time, before and after",
-        f"RMS over the {_things(story)} of a frame, {story.unit}{_short(story)}.",
-    )
-
-
-def _things(story: Story) -> str:
-    """Return the compared quantity: the points of a body, or outputs."""
-    return "points" if story.places else "outputs"
-
-
-def _noise(story: Story) -> str:
-    """Return the meaning of the floor as a sentence."""
-    return "the camera's noise" if story.places else "the sensor's noise"
-
-
-def _sheet(story: Story) -> Picture | None:
-    if story.series is None or not story.places:
-        return None
-    from softmap_edge.report.sheet import sheet
-
-    commands = " and every frame at its command" if story.series.command.shape[1] else ""
-    return Picture(
-        "Where the error is",
-        sheet(story.series),
-        "Error of poses and commands",
-        f"Measured poses{commands}, coloured by their error on one scale{_short(story)}.",
-    )
-
-
-def _body(story: Story, figures: ModuleType) -> Picture | None:
-    if story.series is None or not story.places:
-        return None
-    markers = story.series.triangles is None
-    drawn = (
-        "markers at their mean places, axes of different scale"
-        if markers
-        else "shape at rest, base left"
-    )
-    return Picture(
-        "Error on the body",
-        figures.body(story.series),
-        "RMS error of each point, drawn on the body",
-        f"RMS over all frames of each point, mm, one colour scale, {drawn}{_short(story)}.",
-    )
-
-
-def _tip(story: Story, figures: ModuleType) -> Picture | None:
-    if story.series is None or not story.places:
-        return None
-    rows, t = figures.worst_stretch(story.series), story.series.t_seen
-    part = (
-        ""
-        if rows.stop - rows.start == len(t)
-        else f", from {t[rows.start]:.0f} to {t[rows.stop - 1]:.0f} s, where "
-    )
-    part += "the error before is largest (faint: the complete run, measured)" if part else ""
-    return Picture(
-        "Path of the tip",
-        figures.tip_path(story.series),
-        "Path of the tip, measured and predicted",
-        f"Tip centroid in the base frame, mm{part}{_short(story)}.",
-    )
-
-
-def _ladder(story: Story, figures: ModuleType) -> Picture | None:
-    error = (story.diagnosis or {}).get("error") or {}
-    if not ladder_steps(error):
-        return None
-    unit, on = error.get("unit", PLACES), error.get("held_out_on")
-    note = f"{error.get('kind', 'held-out rms')}{f' on {on}' if on else ''}, {unit}. "
-    note += f"Floor: {error.get('floor_kind', 'origin not stated')}. "
-    note += _other_floor(error, unit)
-    note += LADDER_NOTE if story.places else OUTPUT_NOTE
-    drawn = figures.ladder_bars(error)
-    return Picture("What each effect removes", drawn, "Error ladder down to the floor", note)
-
-
-def _other_floor(error: Document, unit: str) -> str:
-    """Return the estimate that is not the floor of the ladder, and why it is not."""
-    floor, noise, form = (number(error.get(key)) for key in ("floor", "noise_floor", "model_floor"))
-    if floor is None:
-        return ""
-    if form is not None and form != floor:
-        return f"The model's own held-out error is another limit: {mm(form)} {unit} RMS. "
-    if noise is not None and noise != floor:
-        return (
-            f"The noise estimate of {mm(noise)} {unit} RMS is no floor, because too few poses "
-            "repeat. "
-        )
-    return ""
-
-
-def _where(story: Story, figures: ModuleType) -> Picture | None:
-    if story.before is not None:
-        old = story.before.to_dict()["where"]
-        new = story.after.to_dict()["where"] if story.after else None
-        kind = _short(story)
-    else:
-        document = story.diagnosis or {}
-        maps = document.get("where") or {}
-        old, new = maps.get("before"), maps.get("after")
-        kind = f"; {(document.get('error') or {}).get('kind')}"
-    if not old or not any(len(rows) > 1 for rows in old.values()):
-        return None
-    colours = "wide bars before, narrow bars after" if new else "one bar a class"
-    return Picture(
-        "Error by condition",
-        figures.where_maps(old, new),
-        "Error by condition, before and after",
-        f"RMS, {story.unit}, on one scale; {colours}{kind}.",
-    )
 
 
 def _family(row: Document, document: Document) -> ShownFamily:
