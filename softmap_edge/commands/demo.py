@@ -28,7 +28,7 @@ from softmap_edge.report.pages import pictures_missing
 from softmap_edge.robot.emulated.named_laws import check_hidden
 from softmap_edge.run.protocol import Protocol, other_protocol, standard_protocol
 from softmap_edge.run.run import Run
-from softmap_edge.synthetic.finger import WATCH, Truth, hide, surprise
+from softmap_edge.synthetic.finger import WATCH, Truth, hide, stretch, surprise
 
 SCHEMA = "softmap.demo/1"
 FIRST_SEED = 1
@@ -120,8 +120,10 @@ def trial(
         f"Measuring a run of another kind ({judge.frames} frames of circles, spirals and random "
         "moves) for validation …"
     )
-    other = truth.measure(judge, seed=1)
-    floor = compare(model, truth.twin().measure(judge, seed=1)).error["rms_mm"]
+    with stretch(0.0, 0.5):
+        other = truth.measure(judge, seed=1)
+    with stretch(0.5, 1.0):
+        floor = compare(model, truth.twin().measure(judge, seed=1)).error["rms_mm"]
     before, after = compare(model, other), compare(diagnosis.model, other)
     return Trial(truth, model, run, other, fitted, diagnosis, before, after, floor)
 

@@ -455,12 +455,19 @@ def _measured(
     args: RecordOptions, made: Protocol, finger: Finger, names: list[str], seed: int
 ) -> tuple[Run, Arrays]:
     """Return the run of a protocol and, for the virtual finger, the true values."""
-    from softmap_edge.synthetic.finger import hide
+    from softmap_edge.synthetic.finger import hide, stretch
     from softmap_edge.synthetic.virtual_finger import virtual_finger
 
+    drawn = 0.5 if names else 0.0  # the strengths of hidden effects are drawn by solves
     if args.virtual:
-        return virtual_finger(seed, finger, names).measure(made, args.noise_seed)
-    return hide(names, seed, finger=finger).measure(made, args.noise_seed), {}
+        with stretch(0.0, drawn):
+            virtual = virtual_finger(seed, finger, names)
+        with stretch(drawn, 1.0):
+            return virtual.measure(made, args.noise_seed)
+    with stretch(0.0, drawn):
+        truth = hide(names, seed, finger=finger)
+    with stretch(drawn, 1.0):
+        return truth.measure(made, args.noise_seed), {}
 
 
 def _secrets(path: str) -> tuple[list[str], int]:

@@ -58,6 +58,9 @@ USUAL_STEPS = {1: 41, 2: 41, 3: 13}  # commands per channel of a sweep: 1681 for
 EVEN_STEPS = 21  # steps of a sweep from which the spacing is uniform
 GRADED = 1.7  # power of the spacing of fewer steps, denser about home
 FORM_SEED = 20
+# where the parts of a build end, as shares: of all work for the sweep, then of the rest; measured
+# with the built-in finger
+PARTS = {"sweep": 0.2, "fields": 0.1, "second order": 0.4}
 # gravity across the reference, g, a lean of 35 degrees: measures the error under other gravity
 SIDEWAYS = 0.7
 
@@ -68,7 +71,7 @@ def build_model(
     """Simulate `finger` over its command range and return its table model.
 
     `steps` commands a channel (odd, at least 5; usually 41, or 13 of three channels) over its
-    command range. `progress` is called with (what, share). Raises NoEquilibriumError if there is no
+    command range. `progress` is called with (what, share of all work). Raises NoEquilibriumError if there is no
     equilibrium, SoftmapError for a bad argument.
     """
     report: Progress = progress or (lambda what, share: None)
@@ -77,8 +80,20 @@ def build_model(
     handles_of(finger, simulator.template.vertices)
     # needed for the model-form error: reject a bad mesh before the sweep
     Simulator(finger.other_mesh())
-    sweep = simulator.sweep(grid_axes(finger, steps), progress=lambda share: report("sweep", share))
-    return from_sweep(finger, simulator, sweep, report, modes)
+    sweep = simulator.sweep(
+        grid_axes(finger, steps), progress=part(report, "sweep", 0.0, PARTS["sweep"])
+    )
+    return from_sweep(finger, simulator, sweep, part_of_all(report), modes)
+
+
+def part(report: Progress, what: str, begin: float, end: float) -> Callable[[float], None]:
+    """Return the progress of a part of the work, which takes it from `begin` to `end`."""
+    return lambda share: report(what, begin + (end - begin) * share)
+
+
+def part_of_all(report: Progress) -> Progress:
+    """Return the progress of what follows the sweep, as a share of all work."""
+    return lambda what, share: report(what, PARTS["sweep"] + (1.0 - PARTS["sweep"]) * share)
 
 
 def simulator_of(finger: Finger) -> Simulator:
@@ -133,7 +148,10 @@ def _axis(low: float, high: float, count: int, graded: bool) -> Floats:
 def from_sweep(
     finger: Finger, simulator: Simulator, sweep: Sweep, report: Progress, modes: int = MODES
 ) -> Model:
-    """Compress a sweep of `finger` to a table model; add its fields and its model-form error."""
+    """Compress a sweep of `finger` to a table model; add its fields and its model-form error.
+
+    `report` is called with (what, share of this work).
+    """
     rest, triangles = simulator.template.vertices, simulator.template.triangles
     notes = [*doubts(finger), *filter(None, [lost_in_tendons(finger, sweep.command, sweep.pull)])]
     table = compressed(sweep.axes, sweep.vertices.reshape(len(sweep.command), -1), modes)
@@ -142,23 +160,30 @@ def from_sweep(
     many = len(sweep.axes) > 2 or isinstance(finger.solid, Meshed)
     steps = COARSE_FIELD_STEPS if many else FIELD_STEPS
     field_axes = [_axis(axis[0], axis[-1], steps, len(axis) < EVEN_STEPS) for axis in sweep.axes]
+    ends = [PARTS[name] for name in ("fields", "second order")]
     report("fields", 0.0)
     grid = tensor_grid(field_axes)
     # A commanded tension in N does not change under a load.
     stiffness = finger.cable_stiffness_n_mm if finger.command_unit == "mm" else 0.0
     pull = np.zeros((len(grid), 0)) if tensions is None else tensions.evaluate(grid)
-    fields = field_arrays(simulator.fields(grid, design=True), field_axes, pull, stiffness)
+    fields = field_arrays(
+        simulator.fields(grid, progress=part(report, "fields", 0.0, ends[0]), design=True),
+        field_axes,
+        pull,
+        stiffness,
+    )
     if finger.tendons and stiffness:
         fields = replace(fields, stiffness=np.full(len(finger.tendons), stiffness))
     seconds = COARSE_SECOND_STEPS if many else SECOND_STEPS
     second_axes = [_axis(axis[0], axis[-1], seconds, len(axis) < EVEN_STEPS) for axis in sweep.axes]
-    report("fields", 0.6)
     assert fields.modes is not None
     second = second_arrays(
-        simulator.bends(tensor_grid(second_axes)), second_axes, bool(stiffness), fields.modes.values
+        simulator.bends(tensor_grid(second_axes), part(report, "second order", *ends)),
+        second_axes,
+        bool(stiffness),
+        fields.modes.values,
     )
     fields = replace(fields, second=second)
-    report("fields", 1.0)
     model = Model(
         structure=Structure(
             prior=table.compiled(),
@@ -188,8 +213,9 @@ def from_sweep(
         },
         arrays=BundleArrays(prior, fields),
     )
-    report("model-form error", 0.0)
-    error, vertex_error, grown = form_error(model, finger, simulator)
+    error, vertex_error, grown = form_error(
+        model, finger, simulator, part(report, "model-form error", ends[1], 1.0)
+    )
     report("model-form error", 1.0)
     limits = derived(model, finger.young_mpa)
     return replace(
@@ -234,7 +260,9 @@ def compressed(axes: Sequence[Floats], values: Floats, modes: int) -> ModeArrays
     return ModeArrays(Grid(tuple(axes)), mean.astype(np.float32), basis, weights)
 
 
-def form_error(model: Model, finger: Finger, simulator: Simulator) -> tuple[Floats, float, float]:
+def form_error(
+    model: Model, finger: Finger, simulator: Simulator, progress: Callable[[float], None]
+) -> tuple[Floats, float, float]:
     """Measure the model error at held-out commands.
 
     Return RMS (V, 3) mm of the features, RMS mm of the vertices, and the growth of the latter per g
@@ -242,7 +270,7 @@ def form_error(model: Model, finger: Finger, simulator: Simulator) -> tuple[Floa
 
     The truth has another mesh and a modulus 10 % lower and higher, with the same template points.
     The modulus matters under the weight of a leaning body, and hardly under tendons of given
-    shortening.
+    shortening. `progress` is called with the completed share.
     """
     rng = np.random.default_rng(FORM_SEED)
     low, high = model.command_range.T
@@ -259,14 +287,17 @@ def form_error(model: Model, finger: Finger, simulator: Simulator) -> tuple[Floa
     )
     truth = finger if meshed else finger.other_mesh()
     squares, vertex_squares, leaning_squares = [], [], []
+    named: Progress = lambda what, share: progress(share)  # noqa: E731
+    paths = (part(named, "", k / 4.0, (k + 1) / 4.0) for k in range(4))
     for factor in (0.9, 1.1):
         other = Simulator(
             truth.replace(young_mpa=finger.young_mpa * factor), template=simulator.template
         )
-        error = other.path(commands) - predicted
+        error = other.path(commands, progress=next(paths)) - predicted
         squares.append(model.structure.feature_map(error) ** 2)
         vertex_squares.append((error**2).sum(axis=2))
-        leaning_squares.append(((other.path(commands, gravity=leaning) - leaned) ** 2).sum(axis=2))
+        leaned_points = other.path(commands, gravity=leaning, progress=next(paths))
+        leaning_squares.append(((leaned_points - leaned) ** 2).sum(axis=2))
     features, upright = np.mean(np.concatenate(squares), axis=0), float(np.mean(vertex_squares))
     aslant = float(np.mean(leaning_squares))
     grown = float(

@@ -133,9 +133,9 @@ def model_from_shapes(
         robot=sweep.robot,
         command_unit=sweep.command_unit,
     )
-    progress("model-form error", 0.0)
+    progress("model-form error", 0.4)
     form_error, vertex_error = _error(model, prior, flat[rows], values[rows], left)
-    progress("fields", 0.0)
+    progress("fields", 0.7)
     stiffness = _stiffness(sweep, line, shape, vertex_error)
     stored = _fields(sweep, line, shape, stiffness)
     progress("fields", 1.0)

@@ -19,7 +19,8 @@ only from the seeds; the same arguments give the same numbers.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -47,11 +48,26 @@ BATCHES = (0.9, 0.95, 1.05, 1.1)
 LAYERS = 0.75  # of the first finger's layers: another mesh along the body
 STEPS = 9  # commands per channel of the sweep for the strength of an effect,
 WEIGHT_STEPS = 5  # and of an effect with a separate sweep
-# called with the share of each solve
+# called with the completed share of the work
 WATCH: ContextVar[Callable[[float], None] | None] = ContextVar("WATCH", default=None)
+SCALED, SOLVED = 0.3, 0.8  # progress of drawing an effect: scaled, solved with the effect
 EVERY = 3  # every third frame is used for the effect size
 REACH = 18.0  # limit of effective commands, mm
 TARGET = (1.2, 3.6)  # drawn effect size, mm RMS of the section centroids; 1-4 mm are accepted
+
+
+@contextmanager
+def stretch(begin: float, end: float) -> Iterator[None]:
+    """Report the progress of the solves inside as a stretch of that outside."""
+    outer = WATCH.get()
+    if outer is None:
+        yield
+        return
+    before = WATCH.set(lambda share: outer(begin + (end - begin) * share))
+    try:
+        yield
+    finally:
+        WATCH.reset(before)
 
 
 @dataclass(frozen=True)
@@ -156,9 +172,13 @@ class Truth:
         """
         u = self.to_body(protocol)
         points = np.empty((protocol.frames, *template(self.finger).shape))
+        done = 0
         for frames, gravity, force in self._weights(protocol):
             chosen = frames[frames % every == 0]
-            points[chosen] = body(self.finger, self.modulus, gravity, force, u[chosen])
+            until = done + len(frames)
+            with stretch(done / protocol.frames, until / protocol.frames):
+                points[chosen] = body(self.finger, self.modulus, gravity, force, u[chosen])
+            done = until
         points = points[::every]
         for effect in self.hidden:
             points = effect.law.seen(points)
@@ -212,8 +232,12 @@ def hide(
     """
     check_hidden(names, seed)
     plain = Truth(seed, (), camera or Camera(), finger or _builtin())
-    named = [_named(name, plain) for name in NAMED if name in names]
-    return replace(plain, hidden=(*named, *(_drawn(name, plain) for name in LAWS if name in names)))
+    chosen = [name for name in (*NAMED, *LAWS) if name in names]
+    hidden = []
+    for k, name in enumerate(chosen):
+        with stretch(k / len(chosen), (k + 1) / len(chosen)):
+            hidden.append(_named(name, plain) if name in NAMED else _drawn(name, plain))
+    return replace(plain, hidden=tuple(hidden))
 
 
 def surprise(seed: int) -> list[str]:
@@ -268,16 +292,23 @@ def _drawn(name: str, plain: Truth) -> HiddenEffect:
 
     strength, steps = 1.0, WEIGHT_STEPS if is_weight else STEPS
     # a weight needs a sweep each time, and its motion is nearly proportional
-    for _ in range(2 if is_weight else 8):
+    for k in range(2 if is_weight else 8):
         truth = there(strength)
-        distance = apart(truth.rough(protocol, steps), plain.rough(protocol, steps))
+        begin, end = (SCALED * (1.0 - 0.5**n) for n in (k, k + 1))  # it may end after any trial
+        with stretch(begin, 0.5 * (begin + end)):
+            moved = truth.rough(protocol, steps)
+        with stretch(0.5 * (begin + end), end):
+            distance = apart(moved, plain.rough(protocol, steps))
         strength = float(
             np.clip(strength * target / distance, strength / 4, min(strength * 4, law.LIMIT))
         )
         if abs(distance - target) < 0.02 * target:
             break
     truth, thin = there(strength), slice(None, None, EVERY)
-    distance = apart(truth.shapes(protocol)[thin], plain.shapes(protocol, EVERY))
+    with stretch(SCALED, SOLVED):
+        moved = truth.shapes(protocol)[thin]
+    with stretch(SOLVED, 1.0):
+        distance = apart(moved, plain.shapes(protocol, EVERY))
     if not 1.0 <= distance <= 4.0:
         raise SoftmapError(
             f"'{name}' with seed {seed} moves the finger by {distance:.2f} mm RMS at "

@@ -304,3 +304,13 @@ def test_damaged_meshes_and_guides_give_errors_never_a_crash(tmp_path):
                 tmp_path / "finger.toml"
             ).read_text() + '[[tendon]]\npoints_file = "cable.json"\n'
             Finger.from_toml(toml + TENDONS[: TENDONS.index("[[tendon]]")], tmp_path)
+
+
+def test_the_progress_of_a_build_rises_evenly_over_all_its_parts():
+    """Not from 0 to 1 for each part, nor in a jump: a bar of it goes right."""
+    heard = []
+    build_model(bar(), progress=lambda what, share: heard.append((what, share)))
+    shares = [share for _, share in heard]
+    assert shares == sorted(shares) and shares[-1] == pytest.approx(1.0)
+    assert len({what for what, _ in heard}) == 4
+    assert all(later - before < 0.3 for before, later in zip(shares, shares[1:]))
