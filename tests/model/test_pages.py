@@ -143,6 +143,7 @@ def test_a_diagnosis_has_its_page(story, capsys):
     )
     error = document["error"]
     assert f"Floor: {error['floor_kind']}" in page.text
-    assert f"Noise floor: {error['noise_floor']:.3f} mm" in page.text
+    assert error["floor"] == error["noise_floor"]
+    assert f"{error['floor']:.3f} mm floor {error['floor_kind']}" in page.text
     assert "fitted: this run took part" in page.text
     assert document["made_from"]["run"] in page.text  # the origin stands at the end
