@@ -27,6 +27,7 @@ _SUFFIX = re.compile(
 )
 _BRACKET = re.compile(r"[\[(]([^\[\]()]*)[\])]$")
 _WORD = re.compile(r"[^\W\d_]{4,}|[xyzlr]|up|is|raw|ref|cmd|des|set|act", re.IGNORECASE)
+_NUMBERED = re.compile(r" \(column \d+\)$")  # as names that occur twice are distinguished
 _TYPE = re.compile(r"u?int\d*|float\d*|double|bool|str(ing)?|text|date.*|utc|n\.?a\.?|-+", re.I)
 
 
@@ -42,6 +43,7 @@ def unknown_unit(name: str, in_line: str | None, known: Collection[str]) -> str 
         text = in_line.strip("[](){} ")
         odd = text and text.lower() not in known and not _TYPE.fullmatch(text)
         return text[:20] if odd else None
+    name = _NUMBERED.sub("", name)
     bracket = _BRACKET.search(name)
     if bracket is not None:
         text = bracket[1].strip()
@@ -54,6 +56,7 @@ def unknown_unit(name: str, in_line: str | None, known: Collection[str]) -> str 
 
 def unit_in_name(name: str, known: Collection[str]) -> str | None:
     """Return the unit at the end of a name: `servo_4_mm`, `Time [ms]`, `u1 (deg)`."""
+    name = _NUMBERED.sub("", name)
     bracketed = re.search(r"[\[(]([^\[\]()]*)[\])]$", name.lower())
     if bracketed and re.match(r"\s*[\d.]+\s*[^\W\d]", bracketed[1]):  # a multiple: 0.1mm
         return None

@@ -99,3 +99,19 @@ def test_names_without_a_unit_state_none():
     for name in ("motor_in", "u1 (left)", "cmd[3]", "servo_a", "cmd_1_goal", "q (x)", "u (mm)"):
         assert unknown_unit(name, None, {"mm"}) is None
     assert unit_in_name("motor_in", {"in"}) is None
+
+
+@pytest.mark.parametrize(
+    ("command", "marker", "line"),
+    [
+        ("cmd", "marker_{}_{}_mm", "UNKNOWN  the unit of the commands: mm is only likely"),
+        ("cmd (mm)", "{1}", "their name says mm"),
+        ("cmd [px]", "marker_{}_{}_mm", '"px"'),
+        ("motor", "{1} (mm)", "the unit of the commands: mm is only likely"),
+    ],
+)
+def test_columns_of_one_name_state_only_what_stands_in_their_name(tmp_path, command, marker, line):
+    """Two columns of one name are distinguished by their numbers, which are no unit."""
+    found = guess_mapping([written(tmp_path / "log.csv", marker, command)])
+    assert line in found.text
+    assert '"column' not in found.text and "'column" not in found.text
