@@ -268,7 +268,7 @@ def frame_jitter(
     Returns:
         Jitter | None: None if the run shows no jitter, or revisits too few poses to show it.
     """
-    groups = poses(state, dwell)
+    groups = poses(state, np.where(np.isfinite(values).any(axis=1), dwell, -1))
     revisits = sum(len(pose) - 1 for pose in groups)
     if revisits < REVISITS:
         return None

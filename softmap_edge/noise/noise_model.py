@@ -150,8 +150,9 @@ def noise_off_shapes(seen: Floats, state: Conditions) -> Noise | None:
     if body is None or features < 2 * body.scores.shape[1]:
         return None
     rest = np.where(np.isfinite(body.remainder), body.remainder, 0.0)
-    known = float(np.isfinite(body.remainder).mean())
-    degrees = (len(seen) - body.coefficients) * known
+    known = np.isfinite(body.remainder)
+    frames = int(known.any(axis=1).sum())
+    degrees = (frames - body.coefficients) * float(known[known.any(axis=1)].mean())
     pooled = float(np.sum(rest**2)) / (degrees * (features - body.scores.shape[1]))
     covariance = rest.T @ rest / degrees
     for frame in _spread(len(seen)):
@@ -159,7 +160,7 @@ def noise_off_shapes(seen: Floats, state: Conditions) -> Noise | None:
         covariance += pooled / len(_spread(len(seen))) * (along @ along.T)
     squared = float(np.sum(rest**2))
     rho = float(np.sum(rest[1:] * rest[:-1])) / max(squared, 1e-300)
-    source = f"what no command can make of the body's shape ({len(seen)} frames)"
+    source = f"what no command can make of the body's shape ({frames} frames)"
     return Noise(_shrunk(covariance, int(degrees)), source, _inflation(rho), True)
 
 

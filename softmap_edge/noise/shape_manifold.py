@@ -41,10 +41,14 @@ LEAST = 1e-2  # of the largest singular value: a direction of the commands that 
 
 @dataclass(frozen=True)
 class _Polynomial:
-    """The features of scaled scores: coefficients (m, F) mm of monomials up to a degree."""
+    """The features of scaled scores: coefficients (m, F) mm of monomials up to a degree.
+
+    It is `curved` if the frames are enough to show a curvature, whether there is one or not.
+    """
 
     degree: int
     coefficients: Floats
+    curved: bool
 
     def at(self, scores: Floats) -> Floats:
         """Return the features (n, F) mm at scores (n, b)."""
@@ -70,7 +74,8 @@ class Shapes:
     """Deviation of frames from the manifolds of their shapes.
 
     Attributes:
-        remainder: features minus the manifold, (K, F) mm, NaN where unseen.
+        remainder: features minus the manifold, (K, F) mm; NaN where unseen, and where an
+            orientation has too few frames to show how its manifold is curved.
         scores: place of each frame on its manifold, (K, b), within -1 and 1.
         kind: number of each frame's manifold, (K,).
         manifolds: one of each orientation of each run.
@@ -83,8 +88,8 @@ class Shapes:
 
     @property
     def coefficients(self) -> int:
-        """How many coefficients of a feature were fitted, in all manifolds together."""
-        return sum(len(one.coefficients) for one in self.manifolds)
+        """How many coefficients of a feature were fitted, in all curved manifolds together."""
+        return sum(len(one.coefficients) for one in self.manifolds if one.curved)
 
     def tangents(self, rows: Rows) -> Floats:
         """Return derivatives (n, F, b) mm of the features of frames by their scores."""
@@ -104,8 +109,8 @@ def shapes(seen: Floats, state: Conditions, dwell: Ints) -> Shapes | None:
         dwell: (K,) number of the dwell, -1 outside dwells; it holds the number of the run.
 
     Returns:
-        Shapes: None if the frames of an orientation are too few for a plane, or if the commands
-            have more dimensions than a manifold may have.
+        Shapes: None if the frames of all orientations are too few, or if the commands have more
+            dimensions than a manifold may have.
     """
     dimensions = rank(state.command)
     if dimensions > MOST:
@@ -114,12 +119,13 @@ def shapes(seen: Floats, state: Conditions, dwell: Ints) -> Shapes | None:
     kind = np.zeros(len(seen), dtype=np.int64)
     manifolds: list[_Polynomial] = []
     for rows in _of_one_kind(state, dwell):
-        found = _manifold(seen[rows], state.command[rows], dimensions)
-        if found is None:
-            return None
-        manifold, scores[rows], fitted = found
-        remainder[rows], kind[rows] = seen[rows] - fitted, len(manifolds)
+        manifold, scores[rows], fitted = _manifold(seen[rows], state.command[rows], dimensions)
+        kind[rows] = len(manifolds)
         manifolds.append(manifold)
+        if manifold.curved:
+            remainder[rows] = seen[rows] - fitted
+    if not any(one.curved for one in manifolds):
+        return None
     return Shapes(remainder, scores, kind, tuple(manifolds))
 
 
@@ -155,9 +161,7 @@ def _powers(dimensions: int, degree: int) -> Ints:
     return powers.reshape(len(sets), dimensions)
 
 
-def _manifold(
-    seen: Floats, command: Floats, dimensions: int
-) -> tuple[_Polynomial, Floats, Floats] | None:
+def _manifold(seen: Floats, command: Floats, dimensions: int) -> tuple[_Polynomial, Floats, Floats]:
     """Return the manifold of features (K, F) mm, the scores (K, b), and the shapes (K, F) mm there.
 
     An unseen feature is where the manifold has it.
@@ -165,8 +169,8 @@ def _manifold(
     kept = np.unique(np.linspace(0, len(seen) - 1, min(len(seen), THINNED)).astype(int))
     counts = {d: comb(dimensions + d, d) for d in range(1, DEGREE + 1)}
     degrees = [d for d, count in counts.items() if count <= min(COEFFICIENTS, len(kept) // FRAMES)]
-    if not degrees:
-        return None
+    curved = len(degrees) > 1
+    degrees = degrees or [1 if counts[1] < len(kept) else 0]
     fold = np.arange(len(kept)) * PARTS * FOLDS // len(kept) % FOLDS
     known, x = np.isfinite(seen), filled(seen)
     gaps = np.flatnonzero(~known.all(axis=1))
@@ -175,7 +179,7 @@ def _manifold(
         errors = [_held_out(monomials(scores[kept], d), x[kept], fold) for d in degrees]
         degree = degrees[int(np.argmin(errors))]
         columns = monomials(scores[kept], degree)
-        one = _Polynomial(degree, np.linalg.lstsq(columns, x[kept], rcond=None)[0])
+        one = _Polynomial(degree, np.linalg.lstsq(columns, x[kept], rcond=None)[0], curved)
         scores[gaps] += one.towards(x[gaps], known[gaps], scores[gaps])
         fitted = one.at(scores)
         x = np.where(known, x, fitted)
