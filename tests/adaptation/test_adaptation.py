@@ -52,12 +52,14 @@ def adapted(recorded):
 
 def test_physics_first_and_a_residual_on_the_rest_beat_either_alone(adapted):
     stood, residual, physics, both = (adapted.error[way] for way in WAYS)
-    assert max(physics, residual) < 0.85 * stood and both < 0.5 * min(physics, residual)
-    # Friction has memory: no function of the command corrects it. Turned tendons of 0.5 mm are an
-    # ordinary imperfection of a finger that moves by 10 mm; no diagnosis names it, and the residual
-    # learns it.
-    assert residual > 0.6 * stood and both < 0.35 * stood
+    assert both < physics < residual < 0.85 * stood
+    # Friction has memory: no function of the command corrects it.
+    assert residual > 0.6 * stood and physics < 0.4 * stood and both < 0.3 * stood
     assert set(adapted.model.chain_names) & {"hysteresis", "friction", "backlash"}
+    # The tendons are turned by 3 degrees, which the runs show; where they do not, the residual
+    # learns it.
+    turned = [v for label, v in adapted.model.params.items() if label.startswith("routing")]
+    np.testing.assert_allclose(turned, -3.0, atol=1.0)
 
 
 def test_turned_tendons_beyond_ordinary_imperfections_are_physics():
@@ -89,7 +91,7 @@ def test_the_true_vertices_are_nearer_by_more_than_four_fifths_of_what_can_go(ad
     assert before > 3 * own
     alone = learn_residual(adapted.before, adapted.runs)[0].predict(run) - truth["vertices"]
     stood, physics, after, alone = (np.linalg.norm(m, axis=2).mean() for m in (*missed, alone))
-    assert after < 0.5 * min(physics, alone) and alone <= (1.0 - 0.33) * stood, (
+    assert after < physics < 0.5 * alone and after < 0.25 * stood and alone <= 0.67 * stood, (
         stood,
         alone,
         physics,
