@@ -149,16 +149,15 @@ def noise_off_shapes(seen: Floats, state: Conditions) -> Noise | None:
     body = shapes(seen, state, settled_dwells(state))
     if body is None or features < 2 * body.scores.shape[1]:
         return None
-    rest = np.where(np.isfinite(body.remainder), body.remainder, 0.0)
     known = np.isfinite(body.remainder)
+    rest = np.where(known, body.remainder, 0.0)
     frames = int(known.any(axis=1).sum())
     degrees = (frames - body.coefficients) * float(known[known.any(axis=1)].mean())
-    pooled = float(np.sum(rest**2)) / (degrees * (features - body.scores.shape[1]))
-    covariance = rest.T @ rest / degrees
-    for frame in _spread(len(seen)):
-        along = np.linalg.qr(body.tangents(np.array([frame]))[0])[0]
-        covariance += pooled / len(_spread(len(seen))) * (along @ along.T)
     squared = float(np.sum(rest**2))
+    pooled = squared / (degrees * (features - body.scores.shape[1]))
+    along = np.linalg.qr(body.tangents(_spread(len(seen))))[0]  # (n, F, b)
+    covariance = rest.T @ rest / degrees
+    covariance += pooled * np.einsum("nfb,ngb->fg", along, along) / len(along)
     rho = float(np.sum(rest[1:] * rest[:-1])) / max(squared, 1e-300)
     source = f"what no command can make of the body's shape ({frames} frames)"
     return Noise(_shrunk(covariance, int(degrees)), source, _inflation(rho), True)
@@ -176,10 +175,8 @@ def motion_left(
         t_seen: times of the frames, (K,) s.
         state: conditions of the frames.
     """
-    modes = commanded_modes(seen, state.command, _most_modes(residual.shape[1]))
-    return motion_at_rest(
-        residual, seen, positions, t_seen, state.command, settled_dwells(state), modes
-    )
+    dwell, modes = settled_dwells(state), _modes(seen, state)
+    return motion_at_rest(residual, seen, positions, t_seen, state.command, dwell, modes)
 
 
 def measure_noise(
@@ -197,7 +194,7 @@ def measure_noise(
         state: conditions of the frames.
 
     Returns:
-        Noise: as `estimate_noise` gives it if the run does not repeat itself.
+        Noise: without dwells the smaller of `estimate_noise` and `noise_off_shapes`.
 
     Raises:
         SoftmapError: no replicates, and fewer than 5 frames.
@@ -206,14 +203,15 @@ def measure_noise(
     plain = estimate_noise(residual, t_seen, dwell)
     if not plain.measured:
         off = noise_off_shapes(seen, state)
-        # motion inflates the one, shapes that change the other; with both it is not a guess
+        # Motion inflates the one, and shapes that change inflate the other. With both it is no guess.
         smaller = plain if off is None or plain.trace < off.trace else off
         return replace(smaller, measured=off is not None)
-    modes = commanded_modes(seen, state.command, _most_modes(residual.shape[1]))
-    moving = motion_at_rest(residual, seen, positions, t_seen, state.command, dwell, modes)
+    moving = motion_left(residual, seen, positions, t_seen, state)
     body = shapes(seen, state, dwell)
-    # along the tangents of each pose the motion at rest needs no subtraction, which fits no pose
-    values, along = (moving.values, in_all(modes)) if body is None else (residual, body.tangents)
+    if body is None:
+        values, along = moving.values, in_all(_modes(seen, state))
+    else:  # the tangents of each pose hold its motion at rest; one pattern of it fits no pose
+        values, along = residual, body.tangents
     white = white_variance(values, seen, positions, along, dwell)
     jitter = (
         None
@@ -254,6 +252,11 @@ def _inflation(rho: float) -> float:
 
 def _spread(frames: int) -> NDArray[np.intp]:
     return np.unique(np.linspace(0, frames - 1, min(frames, GEOMETRY)).astype(np.intp))
+
+
+def _modes(seen: Floats, state: Conditions) -> Floats:
+    """Return the commanded modes (b, F) of features (K, F)."""
+    return commanded_modes(seen, state.command, _most_modes(seen.shape[1]))
 
 
 def _most_modes(features: int) -> int:
