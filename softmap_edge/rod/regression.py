@@ -114,11 +114,23 @@ def rms(residuals: Floats) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """The commands of one run: `u` (T, C) at `t` (T,) s, evaluated at `t_seen` (n,) s."""
+    """The commands of one run: `u` (T, C) at `t` (T,) s, evaluated at `t_seen` (n,) s.
+
+    `backward`: effects see the run from its end to its start, so they read the future.
+    """
 
     u: Floats
     t: Floats
     t_seen: Floats
+    backward: bool = False
+
+    def rolled(self, chain: _core.Chain, params: Floats) -> Floats:
+        """Return effective commands (B, T, C) of a chain for parameter sets (B, P)."""
+        sets = np.ascontiguousarray(params)
+        if not self.backward:
+            return chain.rollout(sets, self.u, self.t)
+        u, t = np.ascontiguousarray(self.u[::-1]), np.ascontiguousarray(self.t[-1] - self.t[::-1])
+        return chain.rollout(sets, u, t)[:, ::-1]
 
     def read(self, rows: Floats) -> Floats:
         """Interpolate rows (B, T, C) at the frame times (B, n, C): linear, constant outside."""
@@ -160,8 +172,7 @@ class Drive:
 
     def rolled(self, chain: _core.Chain, params: Floats) -> Floats:
         """Return effective commands (B, n, C) for parameter sets (B, P) of a chain."""
-        sets = np.ascontiguousarray(params)
-        return np.concatenate([r.read(chain.rollout(sets, r.u, r.t)) for r in self.records], axis=1)
+        return np.concatenate([r.read(r.rolled(chain, params)) for r in self.records], axis=1)
 
     def acting(self, names: Sequence[str], params: Mapping[str, float]) -> Floats:
         """Return effective commands (n, C) of a chain of `names`.
