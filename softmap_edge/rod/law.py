@@ -174,6 +174,7 @@ class LawFit:
 
     def __init__(self, drive: Drive, static: StaticMap, seed: int, unit: str = "mm") -> None:
         self.drive, self.static, self.seed, self.unit = drive, static, seed, unit
+        self._refits: dict[FittedLaw, Floats] = {}
 
     def scanned(self, law: Law, known: Mapping[str, float]) -> FittedLaw:
         """Fit a law from a scan of all numbers, except those `known` by label.
@@ -223,21 +224,34 @@ class LawFit:
             idle[i] = np.all(change.max(axis=0) <= IDLE * self.drive.half)
         return idle
 
+    def refits(self, fitted: FittedLaw) -> Floats:
+        """Return the free numbers (folds, D), in 0 … 1, refitted without each fold."""
+        if fitted not in self._refits:
+            zero, one = np.zeros(len(fitted.x)), np.ones(len(fitted.x))
+            terms = [self._term(fitted.law, train) for train, _ in self.static.parts]
+            self._refits[fitted] = np.stack(
+                [descend(term, fitted.x, zero, one, MOST_STEPS, ENOUGH)[0] for term in terms]
+            )
+        return self._refits[fitted]
+
+    def refitted_losses(self, fitted: FittedLaw) -> Floats:
+        """Return the held-out loss (folds,) mm² with the numbers refitted without each fold.
+
+        The losses of `fitted` use numbers that have seen all frames.
+        """
+        law, sets = fitted.law, self.refits(fitted)
+        rolled = self.drive.rolled(law.chain, law.params(sets))
+        return np.array([self.static.losses(v)[i] for i, v in enumerate(rolled)])
+
     def fitted_numbers(self, fitted: FittedLaw) -> dict[str, LearnedNumber]:
         """Return the free numbers with their uncertainty, by label."""
         law, x = fitted.law, fitted.x
         residual, slopes = self._term(law, None)(x, True)
-        zero, one = np.zeros(len(x)), np.ones(len(x))
         variance = float(residual @ residual) / max(1, len(residual) - len(x))
         # if not observable, as wide as the range
         information = slopes.T @ slopes / max(variance, 1e-12) + np.eye(len(x))
         linear = np.sqrt(np.diag(np.linalg.inv(information)))
-        refits = np.stack(
-            [
-                descend(self._term(law, train), x, zero, one, MOST_STEPS, ENOUGH)[0]
-                for train, _ in self.static.parts
-            ]
-        )
+        refits = self.refits(fitted)
         folds = len(refits)
         jackknife = np.sqrt(
             (folds - 1.0) / folds * ((refits - refits.mean(axis=0)) ** 2).sum(axis=0)

@@ -14,9 +14,11 @@ fewest numbers is chosen; the others are its alternatives. Numbers for each chan
 law is open if its family still explains a good part of the remaining loss, or if all laws leave a
 good part of the first loss: a bad map and a wrong law look alike. A law that does not reach, or
 that is at a bound, is only reported if it is weak, if it explains only part of its family's fall,
-or if a family without laws is near: it would only replace another cause. The same holds for a law that fits nearly as well if it reads the
-run backward: a memory depends on the past alone, and such a law only bends the static map. The law
-joins the chain, its effective commands replace the commands, and the families are tried again.
+or if a family without laws is near: it would only replace another cause. The same holds for a law
+whose numbers from some blocks do not lower the loss of the others, and for one that fits nearly as
+well if it reads the run backward: a memory depends on the past alone, and such a law only bends the
+static map. The law joins the chain, its effective commands replace the commands, and the families
+are tried again.
 
 Several runs: each run whose commands the others cover is also held out as a block. This separates
 families with the same loop at one amplitude and speed. Limits: laws act in series with the map; a
@@ -269,17 +271,25 @@ class _Search:
         if elsewhere or stands_in:
             self._only_seen(near, now, elsewhere)
             return None
-        backward = self._backward(step, found)
-        lost, fall = backward - step.fitted.losses, float((now - step.fitted.losses).sum())
-        if float(lost.sum()) < max(PAST * fall, standard_error(lost)):
+        if why := self._unconfirmed(step, found, now):
             self.notes.append(
-                f"{' and '.join(step.names)} lowers the held-out error from {self._rms(now):.2f} to "
-                f"{self._rms(step.fitted.losses):.2f} mm RMS, and from the end of the run to its "
-                f"start to {self._rms(backward):.2f} mm: this is an error of the static map, not a "
-                "memory, so it is not in the model"
+                f"{' and '.join(step.names)} lowers the held-out error from {self._rms(now):.2f} "
+                f"to {self._rms(step.fitted.losses):.2f} mm RMS, but {why}; this is no proof of a "
+                "memory, so the law is not in the model"
             )
             return None
         return step
+
+    def _unconfirmed(self, step: _Found, found: Sequence[_Found], now: Floats) -> str:
+        """Return why the fall of the loss by new laws may be chance or a bad map, or ''."""
+        refitted = self.fit.refitted_losses(step.fitted)
+        if not self._falls(now, refitted, LATER if found else FIRST):
+            return f"with numbers from the other blocks only to {self._rms(refitted):.2f} mm"
+        backward = self._backward(step, found)
+        lost, fall = backward - step.fitted.losses, float((now - step.fitted.losses).sum())
+        if float(lost.sum()) < max(PAST * fall, standard_error(lost)):
+            return f"with the run read backward to {self._rms(backward):.2f} mm as well"
+        return ""
 
     def _backward(self, step: _Found, found: Sequence[_Found]) -> Floats:
         """Return the held-out loss (folds,) of the new laws that read the run backward.

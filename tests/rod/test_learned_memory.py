@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from logs import published
-from recorded_arms import arc, play, recorded, wander
+from recorded_arms import arc, play, recorded, segmented, wander
 
 from softmap_edge import Run, learn_model, load_bundle, save_bundle
 from softmap_edge.cli import main
@@ -21,7 +21,7 @@ from softmap_edge.rod import memory
 from softmap_edge.rod.covered_folds import search_folds
 from softmap_edge.rod.learn import learn, learned_model
 from softmap_edge.rod.reference_run import observe
-from softmap_edge.rod.regression import Record
+from softmap_edge.rod.regression import Drive, Record
 from softmap_edge.rod.signals import Family, families
 from softmap_edge.rod.static_map import StaticMap
 
@@ -75,6 +75,36 @@ def test_a_static_law_that_no_polynomial_holds_is_no_memory():
     markers = arc(np.sign(u) * np.maximum(np.abs(u) - 2.0, 0.0))[::3]
     markers = markers + np.random.default_rng(3).normal(0, 0.1, markers.shape)
     assert learn(Run(t=t, command=u, t_seen=t[::3], markers=markers)).chain_names == ()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("seed", "frames"), [(38, 300), (4, 300), (19, 300), (9, 500)])
+def test_a_short_log_of_an_arm_without_memory_gets_nothing_into_its_chain(
+    seed, frames, monkeypatch
+):
+    """Some law among many fits the error of a bad map, also on blocks that were left out."""
+    run = segmented(seed, 3, frames)
+    assert learn(run).chain_names == ()
+    monkeypatch.setattr(memory._Search, "_unconfirmed", lambda *_: "")
+    assert learn(run).chain_names != ()
+
+
+@pytest.mark.long
+def test_play_behind_such_a_map_is_named():
+    (one,) = learn(segmented(4, 3, 500, gap=4.0)).learned_in
+    assert one.name == "backlash" and one.params[0].value == pytest.approx(4.0, rel=0.15)
+
+
+def test_a_law_that_reads_the_run_backward_follows_the_future():
+    """Play of a run read backward is that of the reversed commands, at the same times."""
+    t = np.arange(0.0, 30.0, 0.02)
+    u, numbers = wander(t), {"backlash.gap": 1.4}
+    backward = Drive(Record(u, t, t, backward=True)).acting(["backlash"], numbers)
+    reversed_ = Drive(Record(np.ascontiguousarray(u[::-1]), t, t)).acting(["backlash"], numbers)
+    np.testing.assert_allclose(backward, reversed_[::-1], atol=1e-9)
+    # on both ways through, it lies on the other side of the gap
+    forward = Drive(Record(u, t, t)).acting(["backlash"], numbers)
+    assert np.abs(forward - backward).max() == pytest.approx(1.4, rel=0.01)
 
 
 def test_a_frame_that_drifts_is_reported_and_no_effect_stands_in_for_it():

@@ -1,6 +1,7 @@
 """Recordings of arms with laws of their own, for models that are learned."""
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from softmap_edge import Run
 
@@ -46,3 +47,39 @@ def recorded(gaps=(0.0, 0.0), seconds=90.0, seed=0, noise=0.1, drive=wander, **m
     return Run(
         t=t, command=u, t_seen=t[::3], markers=markers + rng.normal(0, noise, markers.shape), **more
     )
+
+
+def segmented(seed, segments=2, frames=400, gap=0.0, noise=0.5):
+    """A run of an arm of `segments`, each pulled by three tendons that add up to zero.
+
+    It stiffens as it bends, by a law that no polynomial of low degree follows. `gap` mm of play
+    lies in each tendon.
+    """
+    rng = np.random.default_rng(seed)
+    t = 0.25 * np.arange(frames)
+    stops = rng.uniform(-16.0, 16.0, (frames // 12 + 2, segments, 3))
+    stops -= stops.mean(axis=2, keepdims=True)
+    u = np.stack(
+        [
+            np.interp(t, 3.0 * np.arange(len(stops)), column)
+            for column in stops.reshape(len(stops), -1).T
+        ],
+        axis=1,
+    )
+    pulls = play(u, np.full(u.shape[1], gap)).reshape(frames, segments, 3)
+    around = np.exp(2j * np.pi * np.arange(3) / 3.0)
+    bends = (pulls @ around) / 16.0
+    bends[:, 1:] -= 0.3 * bends[:, :1]  # each tendon runs through the segments below
+    size = np.maximum(np.abs(bends), 1e-9)
+    angles = 1.2 * 0.8 * np.tanh(1.6 * size)
+    places, turned, tips = np.zeros((frames, 3)), np.tile(np.eye(3), (frames, 1, 1)), []
+    for k in range(segments):
+        heading, angle = np.angle(bends[:, k]), angles[:, k]
+        out, up = (1.0 - np.cos(angle)) / angle, np.sin(angle) / angle
+        local = 100.0 * np.stack([out * np.cos(heading), out * np.sin(heading), up], axis=1)
+        places = places + np.einsum("nij,nj->ni", turned, local)
+        tips.append(places)
+        axis = np.stack([-np.sin(heading), np.cos(heading), 0.0 * heading], axis=1)
+        turned = turned @ Rotation.from_rotvec(angle[:, None] * axis).as_matrix()
+    markers = np.stack(tips, axis=1)
+    return Run(t=t, command=u, t_seen=t, markers=markers + rng.normal(0.0, noise, markers.shape))
