@@ -87,9 +87,9 @@ def _scan(args: ScanOptions) -> int:
     for port in _ports(args.port, args.baud):
         for heard in setup.scanned(port, args.baud):
             found += heard.found
-            remarks += heard.remarks
+            remarks += (faults := [*heard.remarks, *heard.errors])
             if not args.json:
-                said = [f"  ! {with_files(one, args)}" for one in heard.remarks]
+                said = [f"  ! {with_files(one, args)}" for one in faults]
                 print("".join(f"{line}\n" for line in [*heard.found, *said]), end="")
     remarks += (missing := _missing(rig, found))
     remarks, missing = ([with_files(one, args) for one in some] for some in (remarks, missing))
