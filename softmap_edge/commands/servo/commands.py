@@ -217,10 +217,11 @@ def _setup(args: SetupOptions) -> int:
     old = read_rig(args.rig) if args.rig and Path(args.rig).exists() else None
     entry = entry_of(old, found[0], args.new_id, args.new_baud)  # raises before anything is changed
     mended: list[str] = []
-    done = setup.set_up(found[0], args.new_id, args.new_baud, mended.append, entry.asked)
+    ready = setup.set_up(found[0], args.new_id, args.new_baud, mended.append, entry.asked)
+    done = ready.servo
     if args.rig:
-        mended += changes(entry, found[0], done, args.rig)
-        rig = entered(entry, done, setup.gains(done))
+        mended += [with_files(one, args) for one in changes(entry, found[0], ready, args.rig)]
+        rig = entered(entry, ready, setup.gains(done))
         (rig.write if old is None else rig.note)(args.rig)
     if args.json:
         print(
