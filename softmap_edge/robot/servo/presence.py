@@ -115,7 +115,7 @@ def muted(bus: _core.ServoBus, id: int) -> str:
             "its long answers are lost: the bus is disturbed, or two servos share its id; look at "
             "cables and ids"
         )
-    return "no answer; check power and wiring, `softmap servo doctor --rig FILE` looks at more"
+    return "no answer; check power and wiring, then run the same command again"
 
 
 def shares(bus: _core.ServoBus, id: int) -> str:
