@@ -1,8 +1,11 @@
 """An option that a command would ignore is refused, with the way to use it."""
 
+import re
+
 import pytest
 
 from softmap_edge.cli import main
+from softmap_edge.commands import COMMANDS
 
 JOG = ["servo", "move", "--rig", "rig.toml", "--servo", "1", "--by", "40", "--hold"]
 KEYS = ["servo", "move", "--rig", "rig.toml"]
@@ -35,3 +38,13 @@ def test_an_option_that_would_do_nothing_is_refused(argv, line, tmp_path, monkey
     out, err = capsys.readouterr()
     assert not out and line in err and err.count("\n") == 1, err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "example", [one for command in COMMANDS for one in command.examples if "--rig rig.toml" in one]
+)
+def test_an_example_with_a_rig_lacks_nothing_but_its_files(example, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(example.split()) != 0
+    said = " ".join(capsys.readouterr())
+    assert re.search(r"rig\.toml|next\.csv: no such file|no serial port", said), said
