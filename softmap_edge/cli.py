@@ -301,3 +301,7 @@ def _overview(commands: list[Command]) -> str:
         lines.append(f"{group}:")
         lines += [_line(command) for command in commands if command.group == group]
     return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

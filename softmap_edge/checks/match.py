@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.checks.leverage import ALIKE, LARGER, hardly_follows, power
 from softmap_edge.checks.remembered import centred, memory_share
 from softmap_edge.errors import RunError
 from softmap_edge.files.atomic import Document
@@ -49,8 +50,6 @@ CLAMPED = 0.15  # of the body's length from its base: only the frame of referenc
 # a wrong frame: times the largest fitted mount, and times the scatter over frames
 FAR, STEADY = 1.5, 3.0
 BETTER = 0.5  # of the distance between seen and predicted points that may remain after such a move
-LARGER = 4.0  # times the expected motion, or its inverse: no gain is that wrong
-ALIKE = 0.8  # share of the motion that must be explained to name a cause
 # of the expected motion, total and along it; a play of 1.9 half ranges exceeds 0.05
 STILL, ALONG = 0.08, 0.02
 MOTION = 0.04  # of the body's length (RMS): a smaller motion does not identify its cause
@@ -161,13 +160,14 @@ def followed_share(left: Floats, seen: Floats, visible: Mask) -> float:
 
 
 def not_following(
-    seen: Floats, visible: Mask, expected: Floats, fitted: Floats, length: float
+    u: Floats, seen: Floats, visible: Mask, expected: Floats, fitted: Floats, length: float
 ) -> str | None:
-    """Report a robot that does not follow its commands at all.
+    """Report a robot that does not follow its commands, or hardly.
 
     It hardly moves, or its motion is unrelated to the predicted one.
 
     Args:
+        u: commands (K, C) at the frames.
         seen: measured points (K, N, 3) mm.
         visible: which points were seen, (K, N).
         expected: predicted points (K, N, 3) mm.
@@ -181,13 +181,19 @@ def not_following(
     moved, answer = centred(seen, visible), centred(expected, visible)
     along = float(np.sum(moved * answer)) / max(float(np.sum(answer**2)), 1e-300)
     got = spread(seen, visible)
-    if abs(along) > ALONG or min(got, spread(fitted, visible)) > STILL * required:
+    if abs(along) <= ALONG and min(got, spread(fitted, visible)) <= STILL * required:
+        finding = (
+            f"The robot does not follow its commands: they should move its points by "
+            f"{required:.3g} mm RMS, and the points move by {got:.2g} mm RMS, of which "
+            f"{100 * abs(along):.1f} % follow the commands"
+        )
+    elif hardly := hardly_follows(u, seen, visible, expected):
+        finding = f"The robot hardly follows its commands: {hardly}"
+    else:
         return None
     return (
-        f"The robot does not follow its commands: they should move its points by {required:.3g} "
-        f"mm RMS, and the points move by {got:.2g} mm RMS, of which {100 * abs(along):.1f} % "
-        "follow the commands. No effect is named. Check that the drive is engaged (power, "
-        "torque, tendons attached), and that the frames are of this recording."
+        f"{finding}. No effect is named. Check that the drive is engaged (power, torque, tendons "
+        "attached), the unit of the commands, and that the frames are of this recording."
     )
 
 
@@ -511,4 +517,4 @@ def _unexplained(columns: Floats, values: Floats) -> Floats:
 
 def spread(left: Floats, visible: Mask) -> float:
     """Return the RMS (mm) of the misfit (K, N, 3) about its mean over these frames."""
-    return float(np.sqrt(np.sum(centred(left, visible) ** 2) / max(int(visible.sum()), 1)))
+    return float(np.sqrt(power(centred(left, visible), visible)))

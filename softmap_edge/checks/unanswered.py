@@ -10,8 +10,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.checks.leverage import answered, noise, power
 from softmap_edge.checks.match import MOTION, spread
-from softmap_edge.logs.chance import noise_of
+from softmap_edge.checks.remembered import centred
 from softmap_edge.noise.floor import commanded
 from softmap_edge.run.run import Run, known
 
@@ -20,6 +21,11 @@ Array = NDArray[np.float64]
 LEAST = 30  # frames; with fewer, nothing is reported
 NOISE = 5.0  # times the noise: larger is motion
 STILL = 1.15  # times the noise: smaller is no motion
+ROUNDING = 1e-9  # of the largest coordinate: a smaller motion is an error of rounding
+ENGAGED = (
+    "check that the drive is engaged (power, torque, tendons attached), and that the frames are of "
+    "this recording"
+)
 CHANCE = 5.0  # times the share of the motion that commands explain by chance
 
 
@@ -38,28 +44,22 @@ def unanswered(run: Run) -> str | None:
     if not shown.any():
         return None
     places, visible = places[:, shown], visible[:, shown]
-    moved, noise = spread(np.nan_to_num(places), visible), _noise(places)
+    moved, chance = spread(np.nan_to_num(places), visible), noise(places)
     if not np.ptp(u, axis=0).any():
-        if _other_cause(run) or not moved > max(MOTION * _length(places), NOISE * noise):
+        if _other_cause(run) or not moved > max(MOTION * _length(places), NOISE * chance):
             return None
         return (
             f"the commands never change, but the points move by {moved:.3g} mm RMS: commands and "
             "frames are not of one recording, or something else moves the robot; look at the "
             "columns of the commands"
         )
-    if moved > STILL * noise or _follows(run, u, places):
+    rounding = ROUNDING * float(np.nanmax(np.abs(places)))
+    if moved > rounding and (moved > STILL * chance or _follows(run, u, places)):
         return None
     return (
         f"the commands change, but the points do not move: by {moved:.2g} mm RMS, which is their "
-        "noise; check that the drive is engaged (power, torque, tendons attached), and that the "
-        "frames are of this recording"
+        f"noise; {ENGAGED}"
     )
-
-
-def _noise(places: Array) -> float:
-    """Return the noise of a point (RMS, mm) from places (K, N, 3)."""
-    each = [[noise_of(column) for column in point.T] for point in places.transpose(1, 0, 2)]
-    return float(np.sqrt(np.mean(np.sum(np.square(each), axis=1))))
 
 
 def _length(places: Array) -> float:
@@ -87,13 +87,8 @@ def _other_cause(run: Run) -> bool:
 def _follows(run: Run, u: Array, places: Array) -> bool:
     """Return whether commands (T, C) explain more of the motion (K, N, 3) than chance does."""
     at = np.stack([np.interp(run.t_seen, run.t, column) for column in u.T], axis=1)
-    at = (at - at.mean(axis=0)) / np.maximum(at.std(axis=0), 1e-12)
-    columns = np.column_stack([np.ones(len(at)), at, at**2])
-    total = left = 0.0
-    for place in places.reshape(len(places), -1).T:
-        seen = np.isfinite(place)
-        value = place[seen] - place[seen].mean()
-        fitted = columns[seen] @ np.linalg.lstsq(columns[seen], value, rcond=1e-9)[0]
-        total, left = total + float(value @ value), left + float(np.sum((value - fitted) ** 2))
-    chance = (columns.shape[1] - 1) / len(at)
-    return total > 0 and 1.0 - left / total > min(CHANCE * chance, 0.5)
+    visible = np.asarray(np.isfinite(places).all(axis=2), np.bool_)
+    places = np.nan_to_num(places)
+    total = power(centred(places, visible), visible)
+    share = power(answered(at, places, visible), visible) / max(total, 1e-300)
+    return total > 0 and share > min(CHANCE * 2 * at.shape[1] / len(at), 0.5)

@@ -262,7 +262,7 @@ COMMANDS: list[Command] = [
         "jog a servo, or go to one command",
         f"{_HERE}.servo.move",
         "commission",
-        ("servo move --rig rig.toml --servo 1",),
+        ("servo move --rig rig.toml --servo 1 --by 50",),
     ),
     Command(
         "servo replay",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Protocol
 
@@ -33,6 +34,18 @@ def next_command(*words: str | None, bundle: str | None = None) -> str:
     given += [] if bundle is None else ["--bundle", bundle]
     shown = (word if word.startswith("--") else shell_file(word) for word in given)
     return " ".join(["next: softmap", *shown])
+
+
+def check_idle(given: Mapping[str, object], why: str) -> None:
+    """Raise SoftmapError for the first of these options that has a value: it would do nothing.
+
+    Args:
+        given: value of each option by its name; None, False and empty if it was not given
+        why: why it does nothing, and what to do
+    """
+    for option, value in given.items():
+        if value is not None and value is not False and value != [] and value != "":
+            raise SoftmapError(f"{option}: {why}")
 
 
 def check_file(option: str, path: str | None, suffix: str = "", *, new: bool = False) -> None:

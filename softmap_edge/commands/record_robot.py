@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 from softmap_edge.commands.output import (
     check_bundle,
     check_file,
+    check_idle,
     check_no_run,
     next_command,
     to_stderr,
@@ -257,6 +258,8 @@ def _checked(args: RecordOptions) -> None:
     }
     if given := [option for option, value in simulated.items() if value]:
         raise SoftmapError(f"{given[0]} goes with --sim")
+    if not args.emulated:
+        check_idle({"--seed": args.seed}, "only a simulated or emulated finger uses it")
     if args.hide and not args.emulated:
         raise SoftmapError("--hide: only a simulated or emulated finger can hide something")
     if args.rig and args.camera is None:

@@ -10,7 +10,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from softmap_edge.commands.output import check_file, to_stderr
+from softmap_edge.commands.output import check_file, check_idle, to_stderr
 from softmap_edge.commands.own import effects_argument
 from softmap_edge.errors import SoftmapError
 from softmap_edge.model.model import Model
@@ -134,6 +134,7 @@ def driven_robot(
         person: whether a person drives the robot
     """
     if rig:
+        check_idle({"--seed": seed}, "only an emulated finger uses it; leave it out, or give --sim")
         announce_edited_limits(model)
         yield read_driven_robot(rig, model)
         return

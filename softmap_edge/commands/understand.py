@@ -435,12 +435,15 @@ def warn_outside(verb: str, model: Model, run: Run) -> None:
 
 
 def _doubt(verb: str, model: Model, run: Run) -> None:
-    """Warn on stderr of data that a diagnosis would exclude or reject.
+    """Warn on stderr of a robot that hardly moves, and of data that a diagnosis would exclude.
 
     A comparison uses the run unchanged.
     """
+    from softmap_edge.comparison.comparison import still
     from softmap_edge.diagnosis.clean import clean_run
 
+    if text := still(model, run):
+        print(f"softmap {verb}: {text}", file=sys.stderr)
     commands = model.commands(run)
     if (commands == commands[:1]).all():
         print(

@@ -20,7 +20,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.checks.leverage import hardly_follows
 from softmap_edge.checks.lost_points import without_lost
+from softmap_edge.checks.unanswered import ENGAGED, unanswered
 from softmap_edge.errors import ComparisonError
 from softmap_edge.files.atomic import Document
 from softmap_edge.model.views import members, roll_seen, without_roll
@@ -216,6 +218,18 @@ def compare(model: Model, run: Run) -> Comparison:
         made_from=_made_from(kind, model, run),
         memoryless=_floor_of(repeats, squared, visible),
     )
+
+
+def still(model: Model, run: Run) -> str | None:
+    """Return a sentence if the robot of a run does not move, or hardly, though commands change."""
+    if np.ptp(commanded(run), axis=0).any() and (text := unanswered(run)):
+        return text
+    run, _ = without_lost(run)
+    predicted, seen, visible = aligned(model, run)
+    u = np.asarray(model.commands(run), float)
+    at = [np.interp(run.t_seen, run.t, column) for column in u.T]
+    found = hardly_follows(np.stack(at, axis=1), seen, visible, predicted) if at else None
+    return None if found is None else f"the robot hardly follows its commands: {found}; {ENGAGED}"
 
 
 def _floor_of(repeats: Repeats | None, squared: Floats, visible: Mask) -> MemorylessFloor | None:

@@ -193,7 +193,9 @@ def commands_not_followed(record: Record, predicted: Floats) -> str | None:
     expected = record.predict(record.model.chain_names, record.own()[None])[0].reshape(
         len(record), -1, 3
     )
-    if at_rest := not_following(seen, visible, expected[:, record.positions], seen - left, length):
+    expected = expected[:, record.positions]
+    at_rest = not_following(record.command, seen, visible, expected, seen - left, length)
+    if at_rest is not None:
         return at_rest
     if moved < MOTION * length:
         return None

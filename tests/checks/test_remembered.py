@@ -24,6 +24,11 @@ def played(u, gap):
     return y
 
 
+def idle(u, zone):
+    """A dead zone, independent of the library: nothing moves within ±zone."""
+    return np.sign(u) * np.maximum(np.abs(u) - zone, 0.0)
+
+
 def sine(period=6.85, reach=10.0, seconds=60.0):
     t = np.arange(0.0, seconds, 0.02)
     grow = np.minimum(1.0, t / period)
@@ -140,4 +145,24 @@ def test_a_robot_with_a_play_of_nearly_all_its_range_still_follows():
     half = 0.5 * np.ptp(u, axis=0)
     acting = np.stack([played(u[:, [c]], 1.9 * half[c])[:, 0] for c in (0, 1)], axis=1)
     found = diagnose(MODEL, seen_by(t, u, acting, 0.05), effects=["backlash", "gain"])
-    assert "does not follow its commands" not in found.sentence
+    assert "follow its commands" not in found.sentence
+    assert "follows its commands" not in found.sentence
+
+
+@pytest.mark.parametrize("share", [0.04, 0.1, 0.2])
+def test_a_robot_that_moves_by_a_small_share_is_a_fault_of_the_measurement(share):
+    t, u = wandering()
+    run = seen_by(t, u, share * u, 0.1)
+    found = diagnose(MODEL, run, effects=["dead_zone", "backlash", "gain"])
+    assert found.verdict == "measurement_fault" and found.effects == ()
+    assert "The robot hardly follows its commands" in found.sentence
+    assert "drive is engaged" in found.sentence
+
+
+@pytest.mark.parametrize("effect", ["dead_zone", "backlash"])
+def test_a_dead_zone_or_play_of_half_the_range_is_still_identified(effect):
+    t, u = wandering()
+    half = float(0.5 * np.ptp(u, axis=0).min())
+    acting = idle(u, 0.5 * half) if effect == "dead_zone" else played(u, half)
+    found = diagnose(MODEL, seen_by(t, u, acting, 0.1), effects=["dead_zone", "backlash", "gain"])
+    assert [one.name for one in found.effects] == [effect], found.sentence

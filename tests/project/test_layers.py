@@ -13,6 +13,7 @@ import pytest
 
 PACKAGE = Path(__file__).parents[2] / "softmap_edge"
 LAYERS = """
+__main__
 cli
 commands
 report experiment adaptation

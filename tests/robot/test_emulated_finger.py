@@ -213,7 +213,7 @@ def test_what_an_emulated_robot_cannot_be_is_reported(capsys, tmp_path):
         (["--strength", "-1"], "more than 0 and up to 10"),
         (["--stream", "udp://x"], "is no address"),
         (["--key", "k"], "give --stream"),
-        (["--servos", "2", "--hidden", "backlash"], "--hide needs a finger"),
+        (["--servos", "2", "--hidden", "backlash"], "--hide: it needs a finger"),
         (["--rig", str(tmp_path / "rig.txt")], "saved as .toml"),
         (["--baud", "12345"], "has no rate of 12345 baud"),
     ):

@@ -5,6 +5,7 @@ import re
 import shlex
 
 import pytest
+from other_program import leave
 from rigs import BAUD, HOME, MODEL, NUMBER, calibration, emulated_rig, set_up, torque
 
 from softmap_edge import _core
@@ -156,12 +157,17 @@ def test_a_servo_that_restores_its_memory_confirms_nothing(wound):
         drive(file)
 
 
-def test_setting_up_takes_the_proof_away(wound):
+@pytest.mark.parametrize("left", [{"drive_mode": 1}, {"homing_offset": 9}, {"operating_mode": 4}])
+def test_a_set_up_takes_the_proof_away_only_if_it_changes_something(wound, left):
     bus, file = wound
     assert home(file) == 0
-    assert main(["servo", "setup", "--port", bus.path, "--baud", str(BAUD), "--id", "1"]) == 0
+    argv = ["servo", "setup", "--port", bus.path, "--baud", str(BAUD), "--id", "1"]
+    assert main(argv) == 0
+    drive(file)
+    leave(bus.path, BAUD, **left)
+    assert main(argv) == 0
     with pytest.raises(
-        ServoError, match="servo 1: not homed .* setting up .* need homing again too"
+        ServoError, match="servo 1: not homed .* a set-up that changes it .* need homing again too"
     ):
         drive(file)
 

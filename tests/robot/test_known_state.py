@@ -2,6 +2,7 @@
 named mends it.
 """
 
+import json
 import re
 import shlex
 import subprocess
@@ -20,7 +21,14 @@ from softmap_edge.robot.commissioning.jog import Jog
 from softmap_edge.robot.control.controller import Controller
 from softmap_edge.robot.servo.bus import opened
 from softmap_edge.robot.servo.examined import examined, members, members_of, refusal, started
-from softmap_edge.robot.servo.known_state import GAINS, SET_UP, differing, gains_of, needs
+from softmap_edge.robot.servo.known_state import (
+    GAINS,
+    SET_UP,
+    differing,
+    gains_of,
+    needs,
+    remarks_on_gains,
+)
 from softmap_edge.robot.servo.models import numbered, servo_model
 from softmap_edge.robot.servo.rig import Rig, RigServo, read_rig
 
@@ -220,3 +228,60 @@ def test_the_process_of_a_loop_starts_without_numpy():
     """A start that reads more of the servos is not to take longer than before."""
     look = "import sys, softmap_edge.robot.control.loop_process; sys.exit('numpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", look], check=False).returncode == 0
+
+
+DIFFERENT = {
+    "position_p_gain": (50, "position p gain is 50, the factory setting is 400"),
+    "position_i_gain": (7, "position i gain is 7, the factory setting is 0"),
+    "position_d_gain": (9, "position d gain is 9, the factory setting is 0"),
+    "feedforward_1st_gain": (3, "feedforward 1st gain is 3, the factory setting is 0"),
+    "profile_velocity": (5, "profile velocity is 5, needed is 0; each start writes it again"),
+    "profile_acceleration": (5, "profile acceleration is 5, needed is 0; each start writes it"),
+    "goal_pwm": (100, "goal pwm is 100, needed is 885; each start writes it again"),
+}
+
+
+@pytest.mark.parametrize("register", DIFFERENT)
+def test_read_names_what_differs_without_a_rig_and_the_command_mends_it(register, capsys):
+    value, said = DIFFERENT[register]
+    with emulated_rig() as (bus, _, _):
+        argv = ["servo", "read", "--port", bus.path, "--baud", str(BAUD), "--id", "1"]
+        assert main(argv) == 0 and "set up" in capsys.readouterr().out
+        leave(bus.path, BAUD, **{register: value})
+        gain = "gain" in register
+        assert main(argv) == (0 if gain else 1), "gains may be the user's own"
+        (line,) = [one for one in capsys.readouterr().out.splitlines() if said in one]
+        assert line.startswith("  note: " if gain else "  ! ")
+        assert main([*argv, "--json"]) == (0 if gain else 1)
+        (one,) = json.loads(capsys.readouterr().out)["servos"]
+        assert [said in text for text in one["notes" if gain else "complaints"]] == [True]
+        assert main(remedy(line)) == 0
+        capsys.readouterr()
+        assert main(argv) == 0 and said not in capsys.readouterr().out
+
+
+def test_the_gains_of_the_rig_count_and_not_those_of_the_factory(tmp_path, capsys):
+    file = str(tmp_path / "rig.toml")
+    with emulated_rig() as (bus, rig, _):
+        leave(bus.path, BAUD, position_p_gain=900)
+        rig.write(file)
+        lines = [one for one in doctor.examine(rig=file).lines if one.name == "servo 1"]
+        assert [one.state for one in lines] == ["warning"] and "servo setup" in lines[0].do
+        own = {SET_UP: {"servo_1": [900, 0, 0, 0, 0]}}
+        Rig(rig.port, rig.baud, rig.servos, made=own).write(file)
+        assert main(["servo", "read", "--rig", file]) == 0
+        assert "note:" not in capsys.readouterr().out
+        lines = [one for one in doctor.examine(rig=file).lines if one.name == "servo 1"]
+        assert [one.state for one in lines] == ["ok"]
+
+
+def test_no_model_as_delivered_has_gains_to_remark_on():
+    for model in _core.servo_models():
+        bus = _core.EmulatedBus([(1, model["number"], 57_600, 500.0)], [[]])
+        (found,) = setup.scan(bus.path, 57_600)
+        with opened(bus.path, 57_600) as port:
+            assert remarks_on_gains(found, setup.registers(port, 1)) == [], model["name"]
+        leave(bus.path, 57_600, position_i_gain=4)
+        with opened(bus.path, 57_600) as port:
+            assert len(remarks_on_gains(found, setup.registers(port, 1))) == 1, model["name"]
+        bus.unplug()

@@ -119,7 +119,7 @@ def test_a_homing_offset_is_mended_whatever_mode_and_firmware(
     assert (
         f"firmware {firmware} lets the motor run on when its watchdog trips in mode 4" in wrong[0]
     ) == runs_on
-    done = setup.set_up(found, tell=said.append)
+    done = setup.set_up(found, tell=said.append).servo
     with opened(bus.path, 57_600) as port:
         now = setup.registers(port, 1)
         assert setup.complaints(done, now) == []
@@ -208,7 +208,7 @@ def test_one_servo_at_a_time_is_set_up(capsys, tmp_path):
 def test_a_servo_without_current_is_driven_in_extended_position():
     bus = _core.EmulatedBus([(1, XL430, 57_600, 0.0)], [[]])
     (found,) = setup.scan(bus.path, 57_600)
-    done = setup.set_up(found)
+    done = setup.set_up(found).servo
     with opened(done.port, done.baud) as port:
         assert setup.registers(port, 1)["operating_mode"] == 4
     bus.unplug()

@@ -2,6 +2,11 @@
 servo.
 """
 
+import re
+import shlex
+from contextlib import contextmanager
+from dataclasses import replace
+
 import pytest
 from other_program import leave
 from rigs import BAUD, HOME, MODEL, NUMBER, emulated_rig
@@ -12,6 +17,7 @@ from softmap_edge.errors import ServoError
 from softmap_edge.robot.commissioning import setup
 from softmap_edge.robot.servo.bus import opened
 from softmap_edge.robot.servo.examined import members, started
+from softmap_edge.robot.servo.home_mark import marked
 from softmap_edge.robot.servo.rig import Rig, RigServo, read_rig
 
 
@@ -107,7 +113,7 @@ def test_a_servo_that_answers_too_little_is_set_up(level, number):
     bus, said = _core.EmulatedBus([(1, number, 57_600, 500.0)], [[]]), []
     leave(bus.path, 57_600, status_return_level=level)
     (found,) = setup.scan(bus.path, 57_600)
-    done = setup.set_up(found, 4, 1_000_000, said.append)
+    done = setup.set_up(found, 4, 1_000_000, said.append).servo
     assert said[0].endswith(": it becomes 2") and (("pings only" in said[0]) == (level == 0))
     with opened(done.port, done.baud) as port:
         assert setup.complaints(done, setup.registers(port, 4)) == []
@@ -163,3 +169,93 @@ def test_the_command_that_is_named_leads_out_whatever_the_rig_allows():
             started(rig.port, rig.baud, members(strong))
         assert main(["servo", "setup", "--port", bus.path, "--baud", str(BAUD), "--id", "1"]) == 0
         assert started(rig.port, rig.baud, members(strong)) == []
+
+
+MEASURED = {"home": HOME, "current_mA": 321.0, "low": -700, "slew": 900.0}
+
+
+@contextmanager
+def measured_rig(tmp_path):
+    """Give a rig with measured values, set up by the command, each servo marked as homed."""
+    file = tmp_path / "rig.toml"
+    with emulated_rig() as (bus, rig, _):
+        for id in (1, 2):
+            assert set_up(bus, file, "--id", str(id)) == 0
+        known = read_rig(file)
+        servos = tuple(RigServo(one.id, MODEL, **MEASURED) for one in known.servos)
+        text = replace(known, servos=servos).to_toml()
+        file.write_text(text.replace("[[servo]]", "[[servo]]  # mine", 1))
+        yield bus, rig, file
+
+
+def values(servo):
+    return {name: getattr(servo, name) for name in MEASURED}
+
+
+@pytest.mark.parametrize(
+    "left, homed",
+    [
+        ({}, True),
+        ({"return_delay_time": 100}, True),
+        ({"secondary_id": 9}, True),
+        ({"profile_velocity": 30}, True),
+        ({"pwm_limit": 300}, True),
+        ({"torque_enable": 1}, True),
+        ({"position_p_gain": 20}, False),
+    ],
+)
+def test_measured_values_stay_if_nothing_changes_what_they_mean(left, homed, tmp_path, capsys):
+    """A servo keeps its turns too, unless its mode was chosen again to set its gains."""
+    with measured_rig(tmp_path) as (bus, rig, file):
+        before = file.read_bytes()
+        if left:
+            leave(bus.path, BAUD, **left)
+        capsys.readouterr()
+        assert set_up(bus, file, "--id", "1") == 0
+        out = capsys.readouterr().out
+        assert file.read_bytes() == before and "taken out" not in out
+        home = f"keeps its home; its turns are counted again, so home the robot with `softmap servo home --rig {file}`"
+        assert (home in out) != homed
+        with opened(bus.path, BAUD) as port:
+            assert marked(port, 1, HOME) == homed and marked(port, 2, HOME)
+        assert main(["servo", "home", "--rig", str(file), "--yes"]) == 0
+        assert [values(one) for one in read_rig(file).servos] == [MEASURED, MEASURED]
+
+
+@pytest.mark.parametrize(
+    "left, more, why",
+    [
+        ({"drive_mode": 1}, [], "drive mode"),
+        ({"homing_offset": -77}, [], "homing offset"),
+        ({"operating_mode": 3}, [], "operating mode"),
+        ({"operating_mode": 4, "drive_mode": 9}, [], "operating mode and drive mode"),
+        ({}, ["--new-id", "5"], "id"),
+    ],
+)
+def test_measured_values_that_no_longer_fit_are_taken_out_and_measured_by_the_commands_named(
+    left, more, why, tmp_path, capsys
+):
+    with measured_rig(tmp_path) as (bus, _, file):
+        if left:
+            leave(bus.path, BAUD, **left)
+        capsys.readouterr()
+        assert set_up(bus, file, "--id", "1", *more) == 0
+        out = capsys.readouterr().out
+        assert f"{file} held its home and measured current: taken out, because its {why}" in out
+        named = re.findall(r"`softmap ([^`]+)`", out)
+        assert [one.split()[1] for one in named] == ["home", "pull"]
+        assert all(f"--rig {file}" in one for one in named)
+        now = read_rig(file).servos
+        assert values(now[0]) == MEASURED | {"home": None, "current_mA": None}
+        assert values(now[1]) == MEASURED
+        assert main([*shlex.split(named[0]), "--yes"]) == 0
+        assert read_rig(file).servos[0].home is not None
+
+
+def test_another_servo_in_the_place_of_one_that_is_gone_has_no_home(tmp_path, capsys):
+    """It was set up for another rig, so that no register differs; only its id changes."""
+    with measured_rig(tmp_path) as (bus, _, file):
+        bus.rename(0, 9)
+        assert set_up(bus, file, "--id", "9", "--new-id", "1") == 0
+        assert "taken out, because its id changed" in capsys.readouterr().out
+        assert read_rig(file).servos[0].home is None

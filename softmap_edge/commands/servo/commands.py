@@ -37,7 +37,12 @@ from softmap_edge.robot.servo.bus import opened, ports, release
 from softmap_edge.robot.servo.conditions import unfit
 from softmap_edge.robot.servo.examined import members
 from softmap_edge.robot.servo.home_mark import marked
-from softmap_edge.robot.servo.known_state import differs, passing
+from softmap_edge.robot.servo.known_state import (
+    differs,
+    passing,
+    remarks_on_gains,
+    rewritten,
+)
 from softmap_edge.robot.servo.presence import why_silent
 from softmap_edge.robot.servo.rig import Rig, read_rig
 from softmap_edge.robot.servo.status_words import kept_words
@@ -87,9 +92,9 @@ def _scan(args: ScanOptions) -> int:
     for port in _ports(args.port, args.baud):
         for heard in setup.scanned(port, args.baud):
             found += heard.found
-            remarks += heard.remarks
+            remarks += (faults := [*heard.remarks, *heard.errors])
             if not args.json:
-                said = [f"  ! {with_files(one, args)}" for one in heard.remarks]
+                said = [f"  ! {with_files(one, args)}" for one in faults]
                 print("".join(f"{line}\n" for line in [*heard.found, *said]), end="")
     remarks += (missing := _missing(rig, found))
     remarks, missing = ([with_files(one, args) for one in some] for some in (remarks, missing))
@@ -153,9 +158,10 @@ def _read(args: ReadOptions) -> int:
     for servo in {(one.port, one.baud, one.id): one for one in found}.values():
         unread = servo.id in shared or servo.id in mute
         values, said = ({}, []) if unread else _registers(servo, asked.get(servo.id))
-        said = [with_files(one, args) for one in said]
+        notes = remarks_on_gains(servo, values, asked.get(servo.id)) if values else []
+        said, notes = ([with_files(one, args) for one in some] for some in (said, notes))
         well &= not said
-        documents.append(_told(servo) | {"registers": values, "complaints": said})
+        documents.append(_told(servo) | {"registers": values, "complaints": said, "notes": notes})
         if not args.json:
             print(servo)
             print(
@@ -165,7 +171,7 @@ def _read(args: ReadOptions) -> int:
                 end="",
             )
             print(
-                "\n".join(f"  ! {line}" for line in said)
+                "\n".join([*(f"  ! {line}" for line in said), *(f"  note: {n}" for n in notes)])
                 or ("  set up" if values else "  its registers cannot be read: see below")
             )
     if args.json:
@@ -178,9 +184,9 @@ def _read(args: ReadOptions) -> int:
 def _registers(
     servo: setup.ServoState, asked: setup.Asked | None
 ) -> tuple[dict[str, int], list[str]]:
-    """Return a servo's register values, and a line for each bad or rewritten one.
+    """Return a servo's register values, and a line with the remedy for each bad or rewritten one.
 
-    A bad value blocks a start; the others are rewritten by a start.
+    A bad value blocks a start; the others are rewritten by a start, and by a set-up.
     """
     try:
         with opened(servo.port, servo.baud) as bus:
@@ -191,7 +197,7 @@ def _registers(
         return {}, [str(fault)]
     left = [differs(servo, need, values[need.register]) for need in passing(servo, values, asked)]
     said = setup.complaints(servo, values, asked) + unfit(servo, values, asked, proved)
-    return values, said + [f"{one}; each start writes it again" for one in left]
+    return values, said + [f"{one}; {rewritten(servo)}" for one in left]
 
 
 def _setup(args: SetupOptions) -> int:
@@ -211,10 +217,11 @@ def _setup(args: SetupOptions) -> int:
     old = read_rig(args.rig) if args.rig and Path(args.rig).exists() else None
     entry = entry_of(old, found[0], args.new_id, args.new_baud)  # raises before anything is changed
     mended: list[str] = []
-    done = setup.set_up(found[0], args.new_id, args.new_baud, mended.append, entry.asked)
+    ready = setup.set_up(found[0], args.new_id, args.new_baud, mended.append, entry.asked)
+    done = ready.servo
     if args.rig:
-        mended += changes(entry, found[0], done, args.rig)
-        rig = entered(entry, done, setup.gains(done))
+        mended += [with_files(one, args) for one in changes(entry, found[0], ready, args.rig)]
+        rig = entered(entry, ready, setup.gains(done))
         (rig.write if old is None else rig.note)(args.rig)
     if args.json:
         print(

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from softmap_edge import _core
-from softmap_edge.commands.output import check_bundle, check_file, to_stderr
+from softmap_edge.commands.output import check_bundle, check_file, check_idle, to_stderr
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.robot import own_map
 from softmap_edge.errors import ServoError, SoftmapError
@@ -53,7 +53,7 @@ class EmulateOptions:
     effects: list[str]
     trust_onnx: bool
     hide: str
-    strength: float
+    strength: float | None
     seed: int
     model: str
     baud: int
@@ -78,9 +78,7 @@ def emulate_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME,NAME",
         help="hidden effects: backlash,creep",
     )
-    parser.add_argument(
-        "--strength", type=float, default=1.0, metavar="X", help="factor on their strength (1)"
-    )
+    parser.add_argument("--strength", type=float, metavar="X", help="factor on their strength (1)")
     parser.add_argument("--seed", type=int, default=0, help="random seed (0)")
     parser.add_argument(
         "--model", default=SERVO, metavar="NAME", help=f"model of the servos ({SERVO})"
@@ -123,13 +121,16 @@ def emulate(args: EmulateOptions) -> int:
         return _bare(args, args.servos)
     if args.calibrated is not None:
         check_bundle(args.calibrated, args.force, "--calibrated")
-    if not 0.0 < args.strength <= 10.0:
-        raise ServoError(f"--strength {args.strength:g}; more than 0 and up to 10 times is allowed")
+    strength = 1.0 if args.strength is None else args.strength
+    if not 0.0 < strength <= 10.0:
+        raise ServoError(f"--strength {strength:g}; more than 0 and up to 10 times is allowed")
+    if not args.hide:
+        check_idle({"--strength": args.strength}, "nothing is hidden; give --hide NAME with it")
     load_own(args)
     whole = open_model(args.bundle)
     calibration = own_map(whole)
     names = [name for name in args.hide.split(",") if name]
-    laws = hidden_laws(names, whole.channels, args.seed, args.strength)
+    laws = hidden_laws(names, whole.channels, args.seed, strength)
     senders = _senders(args)
     robot = emulated_robot(
         whole,
@@ -266,13 +267,15 @@ def _bare(args: EmulateOptions, count: int) -> int:
         raise ServoError(f"{count} servos; allowed are 1 to {MOST_SERVOS}")
     of_finger = {
         "--bundle": args.bundle,
+        "--effects": args.effects,
+        "--trust-onnx": args.trust_onnx,
         "--hide": args.hide,
+        "--strength": args.strength,
         "--stream": args.stream,
         "--calibrated": args.calibrated,
         "--key": args.key,
     }
-    if given := [option for option, value in of_finger.items() if value]:
-        raise ServoError(f"{given[0]} needs a finger; leave --servos out")
+    check_idle(of_finger, "it needs a finger; leave --servos out")
     pull = [(1000.0, -400.0), (2000.0, 0.0), (3000.0, 400.0)]
     servos = [(id, number, args.baud, 2000.0) for id in range(1, count + 1)]
     bus = _core.EmulatedBus(servos, [pull] * count, seed=args.seed)

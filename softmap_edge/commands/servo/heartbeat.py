@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
+from softmap_edge.commands.output import check_idle
 from softmap_edge.errors import ServoError
 from softmap_edge.robot.control.heartbeat import Heart
 from softmap_edge.robot.link.session import new_key, read_key
@@ -29,7 +30,7 @@ class HeartbeatOptions:
     robot: str | None
     key: str | None
     new_key: str | None
-    every: float
+    every: float | None
     json: bool
 
 
@@ -47,9 +48,7 @@ def heartbeat_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="make a key, to be copied to both computers; nothing beats",
     )
-    parser.add_argument(
-        "--every", type=float, default=EVERY, metavar="S", help=f"between beats ({EVERY:g})"
-    )
+    parser.add_argument("--every", type=float, metavar="S", help=f"between beats ({EVERY:g})")
 
 
 def heartbeat(args: HeartbeatOptions) -> int:
@@ -58,7 +57,10 @@ def heartbeat(args: HeartbeatOptions) -> int:
     Keys of the terminal press and release the stop; without a terminal, the lines `press` and
     `release` on standard input do.
     """
+    every = EVERY if args.every is None else args.every
     if args.new_key is not None:
+        beating = {"HOST:PORT": args.robot, "--key": args.key, "--every": args.every}
+        check_idle(beating, "--new-key only makes a key; leave it out, and beat afterwards")
         new_key(args.new_key)
         document = {"schema": "softmap.key/1", "key": args.new_key}
         print(
@@ -72,9 +74,9 @@ def heartbeat(args: HeartbeatOptions) -> int:
         raise ServoError(
             "give HOST:PORT of the robot and --key FILE, or --new-key FILE to make one"
         )
-    if not 0.001 <= args.every <= 1.0:
+    if not 0.001 <= every <= 1.0:
         raise ServoError(
-            f"--every {args.every:g} s; allowed is 0.001 to 1 s, well below the timeout in rig.toml"
+            f"--every {every:g} s; allowed is 0.001 to 1 s, well below the timeout in rig.toml"
         )
     pressed, beats, warned, begun = False, 0, False, time.monotonic()
     with Heart(host, int(port), read_key(args.key)) as heart, _keys() as keys:
@@ -99,7 +101,7 @@ def heartbeat(args: HeartbeatOptions) -> int:
                         f"{args.robot} does not answer: no loop runs there, or its key is another",
                         file=sys.stderr,
                     )
-                due = max(due + args.every, time.monotonic() - args.every)
+                due = max(due + every, time.monotonic() - every)
                 time.sleep(max(0.0, due - time.monotonic()))
         except KeyboardInterrupt:
             for _ in range(3):  # stops the robot before the timeout

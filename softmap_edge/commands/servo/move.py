@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.commands.output import JsonOption, to_stderr, with_files
+from softmap_edge.commands.output import JsonOption, check_idle, to_stderr, with_files
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.robot import driven_robot, driving, emulated
 from softmap_edge.errors import ServoError, SoftmapError
@@ -51,6 +51,7 @@ HELD = (
     "find what holds the finger; `softmap servo limits` lists what caps the current, `softmap "
     "servo pull` measures the current that the stroke needs"
 )
+STAYS = 3.0  # s at a command
 STEP = 10.0  # ticks of one tap; a held key continues from its first repetition
 HELP = (
     "hold a key: left and right servo 1, down and up servo 2, 1-9 choose a servo for - and +; a "
@@ -71,7 +72,7 @@ class MoveOptions:
     trust_onnx: bool
     servo: int | None
     by: float | None
-    seconds: float
+    seconds: float | None
     hold: bool
     json: bool
 
@@ -102,9 +103,8 @@ def move_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seconds",
         type=float,
-        default=3.0,
         metavar="S",
-        help="time at U1,U2, s (3)",
+        help=f"time at U1,U2, s ({STAYS:g})",
     )
     hold_argument(parser, "; with U1,U2 nothing is asked first")
 
@@ -117,7 +117,16 @@ def move(args: MoveOptions) -> int:
         )
     _check_by(args.by, JOG_TRAVEL)
     if args.command:
-        return _go(args, args.command)
+        return _go(args, args.command, STAYS if args.seconds is None else args.seconds)
+    check_idle({"--seconds": args.seconds}, "a jog ends where it is; give U1,U2 to stay there")
+    model = {"--bundle": args.bundle, "--effects": args.effects, "--trust-onnx": args.trust_onnx}
+    check_idle(
+        model if args.rig else {}, "a jog of a rig uses no model; leave it out, or give U1,U2"
+    )
+    check_idle(
+        {"--hold": args.hold and args.by is None},
+        "a jog by keys is driven by held keys; give --servo ID with --by TICKS, or U1,U2",
+    )
     with _rig(args) as rig:
         servo = None if args.servo is None else _numbered(rig, args.servo)
         if args.by is not None:
@@ -220,7 +229,7 @@ def _by_keys(jog: Jog, hand: Keys) -> None:
     jog.obey(hand)
 
 
-def _go(args: MoveOptions, command: str) -> int:
+def _go(args: MoveOptions, command: str, seconds: float) -> int:
     """Go to a command through every check of the guard, stay there, and release tension."""
     try:
         u = np.array([float(word) for word in command.split(",")])
@@ -228,9 +237,9 @@ def _go(args: MoveOptions, command: str) -> int:
         raise SoftmapError(
             f"'{command:.40}' is no command; expected mm, one a servo: 2.5,-1"
         ) from None
-    if not (np.abs(u) <= WIDEST).all() or not 0.0 <= args.seconds <= 600.0:
+    if not (np.abs(u) <= WIDEST).all() or not 0.0 <= seconds <= 600.0:
         raise SoftmapError(
-            f"{args.command:.40} for {args.seconds:g} s; commands of up to {WIDEST:g} mm and 0 to "
+            f"{args.command:.40} for {seconds:g} s; commands of up to {WIDEST:g} mm and 0 to "
             "600 s are allowed"
         )
     load_own(args)
@@ -248,7 +257,7 @@ def _go(args: MoveOptions, command: str) -> int:
         with driving(robot):
             begin = robot.position
             done, sent, arrived = robot.engage(u), None, None
-            while arrived is None or robot.time.now() - arrived < args.seconds:
+            while arrived is None or robot.time.now() - arrived < seconds:
                 done, now = robot.target(u), robot.time.now()
                 off = _off(robot, done, "goal")
                 sent = now if sent is None and off < ARRIVED else sent

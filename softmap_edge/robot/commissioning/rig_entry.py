@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from softmap_edge.errors import ServoError
+from softmap_edge.robot.commissioning.setup import SetUp
 from softmap_edge.robot.servo.bus import opened, registers
 from softmap_edge.robot.servo.examined import members
 from softmap_edge.robot.servo.known_state import SET_UP, Asked, ServoState, differing
@@ -27,10 +28,17 @@ class Entry:
 
     @property
     def asked(self) -> Asked | None:
-        """The rig's requirements for this servo, except gains, which set-up determines."""
+        """The rig's requirements for this servo; None if it is not listed."""
         known = {} if self.rig is None else {one.id: one.asked for one in members(self.rig)}
-        found = None if self.listed is None else known.get(self.listed)
-        return None if found is None else replace(found, gains=())
+        return None if self.listed is None else known.get(self.listed)
+
+    def invalidated(self, done: SetUp) -> str:
+        """Return what makes the measured values of the listed servo invalid, "" if they stay."""
+        kept = [] if self.rig is None else [s for s in self.rig.servos if s.id == self.listed]
+        changed = [name for name in ("id",) if name in done.changed]
+        if kept and done.servo.model is not None and kept[0].model != done.servo.model["name"]:
+            changed.append("model")
+        return " and ".join([*changed, *(name.replace("_", " ") for name in done.moved)])
 
 
 def entry_of(rig: Rig | None, found: ServoState, new_id: int | None, new_baud: int | None) -> Entry:
@@ -65,25 +73,30 @@ def entry_of(rig: Rig | None, found: ServoState, new_id: int | None, new_baud: i
     return Entry(rig, id if id in ids else None)
 
 
-def entered(entry: Entry, done: ServoState, gains: Sequence[int]) -> Rig:
-    """Return the rig with the servo in its place; home and ceiling must be measured again.
+def entered(entry: Entry, done: SetUp, gains: Sequence[int]) -> Rig:
+    """Return the rig with the servo in its place.
+
+    Its home and measured current stay, unless the set-up changed what they were measured with.
 
     Args:
         entry: its place
         done: the servo after set-up
         gains: its gains, in the order of `known_state.GAINS`
     """
-    assert done.model is not None
-    name = done.model["name"]
-    servo, old = RigServo(done.id, name), entry.rig
+    now = done.servo
+    assert now.model is not None
+    name = now.model["name"]
+    servo, old = RigServo(now.id, name), entry.rig
     if old is None:
-        return Rig(done.port, done.baud, (servo,), made={SET_UP: {f"servo_{done.id}": list(gains)}})
-    servos = [
-        replace(one, id=done.id, model=name, home=None, current_mA=None)
-        if one.id == entry.listed
-        else one
-        for one in old.servos
-    ]
+        return Rig(now.port, now.baud, (servo,), made={SET_UP: {f"servo_{now.id}": list(gains)}})
+    servos = list(old.servos)
+    if entry.invalidated(done):
+        servos = [
+            replace(one, id=now.id, model=name, home=None, current_mA=None)
+            if one.id == entry.listed
+            else one
+            for one in servos
+        ]
     if entry.listed is None:
         servos.append(servo)
     kept = {
@@ -91,33 +104,51 @@ def entered(entry: Entry, done: ServoState, gains: Sequence[int]) -> Rig:
         for key, value in old.made.get(SET_UP, {}).items()
         if key != f"servo_{entry.listed}"
     }
-    made = {**old.made, SET_UP: {**kept, f"servo_{done.id}": list(gains)}}
-    return replace(old, port=done.port, servos=tuple(servos), made=made)
+    made = {**old.made, SET_UP: {**kept, f"servo_{now.id}": list(gains)}}
+    return replace(old, port=now.port, servos=tuple(servos), made=made)
 
 
-def changes(entry: Entry, found: ServoState, done: ServoState, file: str | Path) -> list[str]:
-    """Return a line for each change in the rig `file`."""
+def changes(entry: Entry, found: ServoState, done: SetUp, file: str | Path) -> list[str]:
+    """Return a line for each change in the rig `file`, and for a home that must be confirmed."""
     if entry.rig is None:
         return []
-    ids = [servo.id for servo in entry.rig.servos]
+    ids, id = [servo.id for servo in entry.rig.servos], done.servo.id
     said = []
     for one in entry.rig.servos:
-        held = (
-            {"home": one.home, "measured current": one.current_mA} if one.id == entry.listed else {}
-        )
-        if names := [name for name, value in held.items() if value is not None]:
-            said.append(f"{file} held its {' and '.join(names)}: taken out, to be found again")
-    if found.id != done.id and entry.listed == found.id:
+        if one.id == entry.listed:
+            said += _measured(one, entry.invalidated(done), done.recounted, file)
+    if found.id != id and entry.listed == found.id:
         said.append(
-            f"{file}: servo {found.id} is servo {done.id} now and keeps its place, command "
+            f"{file}: servo {found.id} is servo {id} now and keeps its place, command "
             f"{ids.index(found.id) + 1}"
         )
-    elif found.id != done.id and found.id in ids:
+    elif found.id != id and found.id in ids:
         said.append(
             f"{file} keeps its servo {found.id}: this one was not set up yet, so that it is "
             "another servo"
         )
     return said
+
+
+def _measured(servo: RigServo, changed: str, recounted: bool, file: str | Path) -> list[str]:
+    """Return a line if measured values of a servo must be measured or confirmed again."""
+    held = {
+        "home": (servo.home, "`softmap servo home --rig FILE`"),
+        "measured current": (servo.current_mA, "`softmap servo pull --rig FILE`"),
+    }
+    names = [name for name, (value, _) in held.items() if value is not None]
+    if changed and names:
+        again = " and ".join(held[name][1] for name in names)
+        return [
+            f"{file} held its {' and '.join(names)}: taken out, because its {changed} changed; "
+            f"measure again with {again}"
+        ]
+    if recounted and servo.home is not None:
+        return [
+            f"{file} keeps its home; its turns are counted again, so home the robot with "
+            "`softmap servo home --rig FILE`"
+        ]
+    return []
 
 
 def _known(rig: Rig, found: ServoState) -> bool:

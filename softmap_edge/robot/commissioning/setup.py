@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import dataclass, replace
 
 from softmap_edge import _core
 from softmap_edge.errors import NoAnswer, NoSuchRate, ServoError
@@ -19,6 +20,7 @@ from softmap_edge.robot.servo.known_state import (
     OLD,
     Asked,
     ServoState,
+    Values,
     complaints,
     differing,
     holds,
@@ -28,13 +30,34 @@ from softmap_edge.robot.servo.known_state import (
     setup_command,
     too_old,
 )
-from softmap_edge.robot.servo.models import ServoModel
+from softmap_edge.robot.servo.models import ServoModel, factory_gains
 from softmap_edge.robot.servo.presence import Heard, listened
 
 __all__ = ["Asked", "ServoState", "complaints", "gains", "needs", "registers", "scan", "set_up"]
 
 POSITION = 3  # operating mode
+ZERO = ("operating_mode", "drive_mode", "homing_offset")  # registers that set zero and direction
 UNANSWERED = 3  # repetitions of a write that may get no answer
+
+
+@dataclass(frozen=True)
+class SetUp:
+    """A servo after its set-up.
+
+    Attributes:
+        servo: its new state
+        changed: the registers that were written, among them `id` and `baud_rate`
+        recounted: whether its turns are counted from zero again, so that it must be homed
+    """
+
+    servo: ServoState
+    changed: frozenset[str] = frozenset()
+    recounted: bool = False
+
+    @property
+    def moved(self) -> list[str]:
+        """The changed registers that set zero or direction: its earlier home is not valid."""
+        return [name for name in ZERO if name in self.changed]
 
 
 def scan(port: str, baud: int | None = None) -> Iterator[ServoState]:
@@ -74,8 +97,10 @@ def set_up(
     new_baud: int | None = None,
     tell: Callable[[str], None] = lambda line: None,
     asked: Asked | None = None,
-) -> ServoState:
+) -> SetUp:
     """Set up one servo, verify it by reading back, and return its new state.
+
+    A servo that needs no change keeps its turns and its home.
 
     Args:
         found: the servo
@@ -107,15 +132,26 @@ def set_up(
         if id != found.id:
             _check_free(bus, found, id)
         _answering(bus, found.id, tell)
-        _made_ready(bus, found, model, tell, asked)
-        set_mark(bus, found.id, None)  # in another mode, turns are counted from zero again
+        before = registers(bus, found.id)
+        known = asked.gains or factory_gains(model)
+        asked = replace(asked, gains=())  # the servo sets them
+        changed = {need.register for need in differing(model, before, asked)}
+        changed |= {"id"} if id != found.id else set()
+        # a servo sets its gains when its mode is chosen, and counts its turns from zero again
+        gained = tuple(before[name] for name in GAINS) != known
+        recounted = gained or not changed.isdisjoint((*ZERO, "id"))
+        if recounted:
+            set_mark(bus, found.id, None)
+        _made_ready(bus, found, model, before, tell, asked, choose=recounted)
         if id != found.id:
             _write(bus, found.id, "id", id)
         if baud != found.baud:
             # The answer may already come at the new rate; finding the servo there is sufficient.
             with suppress(NoAnswer):
                 _write(bus, id, "baud_rate", model["baud_rates"].index(baud))
-    return _proved(ServoState(found.port, baud, id, found.number, found.firmware), asked)
+    changed |= {"baud_rate"} if baud != found.baud else set()
+    done = _proved(ServoState(found.port, baud, id, found.number, found.firmware), asked)
+    return SetUp(done, frozenset(changed), recounted)
 
 
 def _proved(now: ServoState, asked: Asked | None) -> ServoState:
@@ -176,14 +212,16 @@ def _made_ready(
     bus: _core.ServoBus,
     found: ServoState,
     model: ServoModel,
+    before: Values,
     tell: Callable[[str], None],
-    asked: Asked | None,
+    asked: Asked,
+    *,
+    choose: bool,
 ) -> None:
-    """Write registers that differ, with torque off.
+    """Write registers that differ from those `before`, with torque off.
 
-    The servo then resets its gains, as after each change of the operating mode.
+    With `choose`, the operating mode is chosen again, so that the servo sets its gains.
     """
-    before = registers(bus, found.id)
     if before["torque_enable"]:
         tell("its torque was on: it is off")
     _write(bus, found.id, "torque_enable", 0)
@@ -195,7 +233,7 @@ def _made_ready(
             _write(bus, found.id, need.register, need.value)
         tell(f"{holds(found, need.register, before[need.register])}: it becomes {need.value}")
     other = POSITION if before["operating_mode"] == mode else before["operating_mode"]
-    for one in (other, mode):
+    for one in (other, mode) if choose else ():
         _write(bus, found.id, "operating_mode", one)
     for need in passing(found, registers(bus, found.id), asked):
         _write(bus, found.id, need.register, need.value)

@@ -18,11 +18,12 @@ from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.files.printable import shell_file
 from softmap_edge.robot.finding import FAULT, OK, WARNING, Line, faulty
 from softmap_edge.robot.link.session import read_key
+from softmap_edge.robot.remedies import parted
 from softmap_edge.robot.servo.bus import opened
 from softmap_edge.robot.servo.emergency import Emergency
 from softmap_edge.robot.servo.examined import Member, examined, members, members_of
 from softmap_edge.robot.servo.home_mark import check_confirmed
-from softmap_edge.robot.servo.known_state import differs, gains_of
+from softmap_edge.robot.servo.known_state import differs, gains_of, remarks_on_gains, rewritten
 from softmap_edge.robot.servo.limits import effective_limits
 from softmap_edge.robot.servo.models import servo_model
 from softmap_edge.robot.servo.rig import Rig, RigServo, read_rig
@@ -167,7 +168,7 @@ def _asked(rig: Rig, folder: str | Path | None) -> list[Member]:
 
 
 def _servos(rig: Rig, asked: list[Member]) -> Iterator[Line]:
-    seen = examined(rig.port, rig.baud, asked)
+    seen, asked_for = examined(rig.port, rig.baud, asked), {one.id: one.asked for one in asked}
     for servo, one in zip(rig.servos, seen):
         name, found = f"servo {servo.id}", one.found
         for complaint in (*one.wrong, *one.unfit):
@@ -176,8 +177,10 @@ def _servos(rig: Rig, asked: list[Member]) -> Iterator[Line]:
             continue
         for need in one.passing:
             found_text = differs(found, need, one.values[need.register])
-            yield Line(name, WARNING, found_text, "each start writes it again")
-        if not (one.wrong or one.unfit or one.passing):
+            yield Line(name, WARNING, found_text, rewritten(found))
+        gains = [parted(line) for line in remarks_on_gains(found, one.values, asked_for[servo.id])]
+        yield from (Line(name, WARNING, *parts) for parts in gains)
+        if not (one.wrong or one.unfit or one.passing or gains):
             yield Line(name, OK, f"{servo.model}, firmware {found.firmware}, set up")
         yield _home(rig, servo, one.values["present_position"])
 

@@ -91,8 +91,8 @@ def check_confirmed(bus: _core.ServoBus, servos: Sequence[tuple[int, int | None]
         if not marked(bus, id, home):
             raise ServoError(
                 f"servo {id}: not homed since power-up (turns are lost without power; a fault, "
-                "setting up and another home in the rig need homing again too); let the finger "
-                f"hang straight and {AGAIN}"
+                "a set-up that changes it and another home in the rig need homing again too); let "
+                f"the finger hang straight and {AGAIN}"
             )
 
 

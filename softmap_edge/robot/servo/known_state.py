@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 from softmap_edge import _core
 from softmap_edge.files.atomic import Document
-from softmap_edge.robot.servo.models import ServoModel, numbered
+from softmap_edge.robot.servo.models import ServoModel, factory_gains, numbered
 
 # with older firmware, a tripped watchdog lets the motor run on in mode 4 with a homing offset
 CLEAR = 42
@@ -180,8 +180,8 @@ def complaints(found: ServoState, values: Values, asked: Asked | None = None) ->
         for need in differing(model, values, asked)
         if not need.passing
     ]
-    if values["hardware_error_status"]:
-        lines.append(f"it reports {hardware(values['hardware_error_status'])}; {restart(found)}")
+    if bits := values["hardware_error_status"]:
+        lines.append(f"it reports {hardware(bits)}; {restart(found)}")
     if values["torque_enable"]:
         lines.append(
             "its torque is on: another program drives it, or one died; `softmap servo off` "
@@ -232,6 +232,27 @@ def too_old(found: ServoState) -> str:
     """Return the message on firmware without a watchdog."""
     update = f"update it to {_core.FAST_FIRMWARE} with Dynamixel Wizard"
     return f"its firmware {found.firmware} has no bus watchdog; {update}"
+
+
+def rewritten(found: ServoState) -> str:
+    """Return the remedy for a register that a start rewrites."""
+    return f"each start writes it again, as does {setup_command(found.port, found.baud, found.id)}"
+
+
+def remarks_on_gains(found: ServoState, values: Values, asked: Asked | None = None) -> list[str]:
+    """Return a sentence for each gain that differs from its factory setting.
+
+    If the rig has the gains of set-up, these count instead (`passing`), and the list is empty.
+    """
+    if found.model is None or (asked is not None and asked.gains):
+        return []
+    setup = setup_command(found.port, found.baud, found.id)
+    return [
+        f"{holds(found, name, values[name])}, the factory setting is {gain}; {setup} lets the "
+        "servo set its gains again"
+        for name, gain in zip(GAINS, factory_gains(found.model))
+        if gain not in (None, values[name])
+    ]
 
 
 def hardware(bits: int) -> str:

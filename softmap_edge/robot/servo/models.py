@@ -12,6 +12,11 @@ from typing import TypedDict
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
 
+# position gains P, I, D and feedforward 1, 2 of the manual (register units); None if they depend on
+# the firmware
+FACTORY_GAINS: dict[str, tuple[int | None, ...]] = {"XL330": (400, 0, 0, 0, 0)}
+OTHER_GAINS = (None, 0, None, 0, 0)
+
 
 class ServoModel(TypedDict):
     """Data of a servo model; currents are None for a model without a sensor."""
@@ -48,3 +53,11 @@ def servo_model(name: str) -> ServoModel:
 def numbered(number: int) -> ServoModel | None:
     """Return the entry of the model with this number; None if it is unknown."""
     return next((model for model in _core.servo_models() if model["number"] == number), None)
+
+
+def factory_gains(model: ServoModel) -> tuple[int | None, ...]:
+    """Return the factory setting of each gain in the order of `known_state.GAINS`.
+
+    None stands for a gain that depends on the firmware.
+    """
+    return FACTORY_GAINS.get(model["name"].partition("-")[0], OTHER_GAINS)

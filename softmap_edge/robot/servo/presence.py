@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from softmap_edge import _core
 from softmap_edge.errors import NoAnswer, NoSuchRate
 from softmap_edge.robot.servo.bus import opened, patiently, pinged, pings_only, rates
-from softmap_edge.robot.servo.known_state import ServoState, setup_command
+from softmap_edge.robot.servo.known_state import ServoState, hardware, restart, setup_command
 
 LOOKS = 3  # times that the finding must repeat: one glitch is no second servo
 PINGS = 2  # pings at each other rate
@@ -23,14 +23,15 @@ ALONE = "connect one servo at a time and give each an id of its own"
 
 @dataclass(frozen=True)
 class Heard:
-    """The servos that answer at a port at one rate, and a sentence for each fault.
+    """The servos that answer at a port at one rate, and a sentence for each fault of an answer.
 
-    Also the ids that answer pings only.
+    Also the ids that answer pings only, and a sentence for each servo with a hardware error.
     """
 
     found: tuple[ServoState, ...]
     remarks: tuple[str, ...]
     mute: tuple[int, ...] = ()
+    errors: tuple[str, ...] = ()
 
 
 def listened(port: str, baud: int) -> Heard:
@@ -50,7 +51,19 @@ def listened(port: str, baud: int) -> Heard:
             )
         mute = tuple(id for id in ids if id not in shared and _silent_reads(bus, id))
         remarks += [f"servo {id} {pings_only(port, baud, id)}" for id in mute]
-    return Heard(tuple(found), tuple(remarks), mute)
+        readable = [one for one in found if one.id not in (*shared, *mute)]
+        errors = tuple(filter(None, (_reported(bus, one) for one in readable)))
+    return Heard(tuple(found), tuple(remarks), mute, errors)
+
+
+def _reported(bus: _core.ServoBus, servo: ServoState) -> str:
+    """Return the hardware errors of a servo and the remedy, "" if it reports none."""
+    address, size, _ = _core.servo_registers()["hardware_error_status"]
+    try:
+        bits = int.from_bytes(patiently(bus.read, servo.id, address, size), "little")
+    except NoAnswer:
+        return f"servo {servo.id}: {muted(bus, servo.id)}"
+    return f"servo {servo.id} reports {hardware(bits)}; {restart(servo)}" if bits else ""
 
 
 def why_silent(port: str, baud: int, id: int, listed: Collection[int] = ()) -> str:
@@ -102,7 +115,7 @@ def muted(bus: _core.ServoBus, id: int) -> str:
             "its long answers are lost: the bus is disturbed, or two servos share its id; look at "
             "cables and ids"
         )
-    return "no answer; check power and wiring, `softmap servo doctor --rig FILE` looks at more"
+    return "no answer; check power and wiring, then run the same command again"
 
 
 def shares(bus: _core.ServoBus, id: int) -> str:
