@@ -20,7 +20,7 @@ from softmap_edge.checks.collinear import collinear_conditions
 from softmap_edge.checks.frame_clock import frame_clock
 from softmap_edge.checks.lost_points import REMEDY, without_lost
 from softmap_edge.checks.unanswered import unanswered
-from softmap_edge.checks.unseen_markers import doubts_of_unseen
+from softmap_edge.checks.unseen_markers import FAR, unseen_parts
 from softmap_edge.files.atomic import Document
 from softmap_edge.files.numbers import folded
 from softmap_edge.logs.plausible import overlong_stroke
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from softmap_edge.model.model import Model
 
 SCHEMA = "softmap.check/1"
-FAR = 2.0  # of the extent of the points: if all are farther from the origin, this is no base frame
 SAME_PLACE = 0.02  # of a channel's range
 
 
@@ -50,6 +49,8 @@ def summary(recorded: Run, model: Model | None = None) -> Document:
     - `home_known`: whether 0 can be home (`advice.home_unknown`).
     - `not_seen`: sentences on points that stand for "not seen"; these count as not visible, and the
       run is not sound.
+    - `unseen_parts`: sentences on what was never or hardly seen (`unseen_markers.unseen_parts`); these
+      are also `warnings`, and the run is not sound.
     - `unanswered`: a sentence if commands and motion contradict each other, else None; such a run
       is not sound.
     - `can_tell`, `cannot_tell`: lists of `advice.Advice`, `{about, tells, text, remedy, minutes}`.
@@ -98,6 +99,7 @@ def summary(recorded: Run, model: Model | None = None) -> Document:
         "unknown_fields": sorted(set(run.extra) - OURS),
         "roll_seen": not laid(run),
         "not_seen": lost,
+        "unseen_parts": unseen_parts(run),
         "unanswered": unanswered(run),
         "hash": recorded.hash(),
     }
@@ -113,7 +115,7 @@ def summary(recorded: Run, model: Model | None = None) -> Document:
     document["warnings"] = [
         *_damage(run),
         *filter(None, [depthless]),
-        *doubts_of_unseen(run),
+        *document["unseen_parts"],
         *_warnings(run),
         *filter(None, [drift]),
     ]

@@ -181,6 +181,7 @@ def check(args: CheckOptions) -> int:
             found = _run(path, args.bundle) if kind == "run" else read_summary(path)
         faults = [
             *found.get("not_seen", []),
+            *found.get("unseen_parts", []),
             *(found[key] for key in ("unanswered", "fault") if found.get(key)),
         ]
         document |= found | {"sound": not faults, "fault": "; ".join(faults) or None}
