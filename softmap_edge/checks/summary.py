@@ -23,6 +23,7 @@ from softmap_edge.checks.unanswered import unanswered
 from softmap_edge.checks.unseen_markers import FAR, unseen_parts
 from softmap_edge.files.atomic import Document
 from softmap_edge.files.numbers import folded
+from softmap_edge.files.printable import listed, one_line, plain_line
 from softmap_edge.logs.plausible import overlong_stroke
 from softmap_edge.model.servo_calibration import converted
 from softmap_edge.model.views import laid
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from softmap_edge.model.model import Model
 
 SCHEMA = "softmap.check/1"
+MANY = 20  # unknown fields that are named
 SAME_PLACE = 0.02  # of a channel's range
 
 
@@ -169,20 +171,22 @@ def sentences(document: Document) -> list[str]:
     if d["blocks"]:
         lines.append(
             f"blocks    {len(d['blocks'])}: "
-            f"{', '.join(d['blocks'][:8])}{' …' * (len(d['blocks']) > 8)}"
+            f"{listed(d['blocks'][:8], 8)}{' …' * (len(d['blocks']) > 8)}"
         )
     if d["unknown_fields"]:
-        lines.append(f"kept      {', '.join(d['unknown_fields'])} (not known here, ignored)")
+        kept = listed(d["unknown_fields"], MANY)
+        lines.append(f"kept      {kept} (not known here, ignored)")
     lines += [line for text in d.get("not_seen", []) for line in _hung("look at", text)]
     lines += [line for text in d["missing"] for line in _hung("missing", text)]
     lines += [line for text in d["warnings"] for line in _hung("look at", text)]
     lines += [line for one in d["collinear"] for line in _hung("alike", one["text"])]
     known_to = [] if d.get("unanswered") else d["can_tell"]  # such a run shows nothing of its drive
-    return lines + advice_lines([Advice(**word) for word in [*known_to, *d["cannot_tell"]]])
+    lines += advice_lines([Advice(**word) for word in [*known_to, *d["cannot_tell"]]])
+    return [one_line(line) for line in lines]  # names of fields and blocks are of the file
 
 
 def _hung(name: str, text: str) -> list[str]:
-    return folded(f"{name:<10}{text}", 0, 10)
+    return folded(f"{name:<10}{plain_line(text)}", 0, 10)
 
 
 _DECLARED = (("load", "load_g", "g"), ("temperature", "temperature_c", "°C"))

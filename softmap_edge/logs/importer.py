@@ -24,7 +24,7 @@ from softmap_edge import _core
 from softmap_edge.errors import RunError, differing_times
 from softmap_edge.files.atomic import Document
 from softmap_edge.files.mcap_records import Damage
-from softmap_edge.files.printable import listed
+from softmap_edge.files.printable import listed, plain_line
 from softmap_edge.logs.clock import corrected
 from softmap_edge.logs.column_roles import doubts_of_roles
 from softmap_edge.logs.frames import choose_frames, seen
@@ -60,6 +60,10 @@ class Imported:
     notes: tuple[str, ...]
     doubts: tuple[str, ...] = ()
     damage: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("notes", "doubts", "damage"):  # they quote names of files and columns
+            object.__setattr__(self, name, tuple(map(plain_line, getattr(self, name))))
 
 
 def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Imported:
@@ -243,6 +247,12 @@ def _command_rows(
         raise RunError(
             f"{mapping.path}: {len(owners)} logs hold commands; name the columns of one of them "
             "only"
+        )
+    named = [name for log in mapping.logs for name in log.rows]
+    if twice := next((name for name in named if named.count(name) > 1), None):
+        raise RunError(
+            f"{mapping.path}: {named.count(twice)} logs hold {twice}; name the columns of one of "
+            "them only"
         )
     t: Array | None = None
     for k in owners:
