@@ -43,7 +43,7 @@ from softmap_edge.logs.sources import (
 from softmap_edge.logs.table import open_log
 from softmap_edge.logs.time_names import TIME_NAME, is_time_name
 from softmap_edge.logs.triples import Triples, find_pairs, find_triples
-from softmap_edge.logs.unit_words import LENGTH_WORDS, unit_in_name, unknown_unit
+from softmap_edge.logs.unit_words import UNIT_WORDS, unit_in_name, unknown_unit
 
 Array = NDArray[np.float64]
 ROWS = 20_000  # rows examined in each log
@@ -81,23 +81,6 @@ ROLES: tuple[tuple[str, str], ...] = (
     ("present", r"^pos(?!e)|position|angle|joint|state|winkel|gelenk|stellung|articulation"),
 )
 _SURE = 7  # of the roles: the names of the others are those of goals and of positions that are read
-_UNIT = LENGTH_WORDS | {
-    "deg": "deg",
-    "degrees": "deg",
-    "°": "deg",
-    "rad": "rad",
-}
-_UNIT |= {
-    "radians": "rad",
-    "ticks": "ticks",
-    "ma": "mA",
-    "a": "A",
-    "g": "g",
-    "kg": "kg",
-    "n": "N",
-    "k": "K",
-}
-_UNIT |= {"degc": "degC", "°c": "degC", "c": "degC"}
 TICK_DEG, TICK_RAD = 360.0 / 4096, 2 * np.pi / 4096  # step of a 12-bit servo
 
 
@@ -394,10 +377,10 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
             rank = next((k for k, (_, words) in enumerate(ROLES) if re.search(words, text)), None)
             if rank is not None:
                 kind = ROLES[rank][0]
-                unit = _UNIT.get(
-                    (sheet.units.get(names[0]) or unit_in_name(names[0], _UNIT) or "").lower()
+                unit = UNIT_WORDS.get(
+                    (sheet.units.get(names[0]) or unit_in_name(names[0], UNIT_WORDS) or "").lower()
                 )
-                words = {word for word, one in _UNIT.items() if one in UNITS[kind]}
+                words = {word for word, one in UNIT_WORDS.items() if one in UNITS[kind]}
                 odd = None if unit in UNITS[kind] else stated_of(sheet, names[0], words)
                 roles.append(
                     (

@@ -30,6 +30,7 @@ from softmap_edge.logs.column_roles import doubts_of_roles
 from softmap_edge.logs.frames import choose_frames, seen
 from softmap_edge.logs.held import unhold
 from softmap_edge.logs.mapping import ANGLE, LENGTH, Mapping, Quantity, read_mapping
+from softmap_edge.logs.other_units import doubts_of_units
 from softmap_edge.logs.plausible import (
     doubts_of_base,
     doubts_of_both,
@@ -278,7 +279,8 @@ def _command_rows(
             own, values = _filled(
                 name, tables[k], counted_on(name, tables[k], quantity, notes, doubts)
             )
-            doubts += doubts_of_rows(name, values, quantity)
+            other = doubts_of_units(name, tables[k], quantity)
+            doubts += other or doubts_of_rows(name, values, quantity)
             doubts += doubts_of_unread(name, values, quantity)
             values = _convert(name, values, quantity, mapping)
             if quantity.held != "keep":
