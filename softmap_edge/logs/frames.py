@@ -286,13 +286,16 @@ def _few(lines: list[str]) -> list[str]:
 @np.errstate(invalid="ignore")  # a signalling NaN of a damaged file counts as NaN
 def _points(table: LogTable, quantity: Quantity, doubts: list[str], name: str = "markers") -> Array:
     """Return points (K, M, 3) mm in the log's frame; `name` is their key in the mapping."""
-    stated = table.unit(quantity.columns[0])
-    stated = stated if stated in LENGTH else None
-    other = [] if quantity.unit == FILE else doubts_of_units(name, table, quantity)
+    units = [quantity.unit] * len(quantity.columns)
+    if quantity.unit == FILE:  # of a line of units, or of the format; each marker has its own
+        stated = [table.unit(column) for column in quantity.columns[:: quantity.axes]]
+        usual = next((unit for unit in stated if unit in LENGTH), "mm")
+        units = [unit if unit in LENGTH else usual for unit in stated for _ in range(quantity.axes)]
+    unit = units[0]
+    other = doubts_of_units(name, table, quantity, units)
     doubts += other
-    unit = (stated or "mm") if quantity.unit == FILE else quantity.unit
     raw = table.numbers(quantity.columns)
-    raw *= LENGTH[unit]
+    raw *= [LENGTH[unit] for unit in units]
     raw *= quantity.scale
     raw += quantity.offset
     points = raw.reshape(len(raw), -1, quantity.axes)

@@ -30,25 +30,28 @@ _SAME = {
 _ALONE = 1  # letters of a unit that is only read in brackets, since `cmd_a` may be command a
 
 
-def doubts_of_units(name: str, table: LogTable, quantity: Quantity | Measured) -> list[str]:
+def doubts_of_units(
+    name: str, table: LogTable, quantity: Quantity | Measured, units: Sequence[str] | None = None
+) -> list[str]:
     """Return a doubt if the log states another unit than the mapping for some of the columns.
 
     Args:
         name: key in the mapping, such as `command`.
         table: the cells of the log.
         quantity: the columns with their unit.
+        units: of each column, if they differ.
     """
     if (np.asarray(quantity.scale) != 1.0).any():
         return []
-    found: dict[str, list[str]] = {}
-    for column in quantity.columns:
+    found: dict[tuple[str, str], list[str]] = {}
+    for column, unit in zip(quantity.columns, units or [quantity.unit] * len(quantity.columns)):
         label, stated = _stated(table, column)
-        if stated is not None and not _alike(stated, quantity.unit):
-            found.setdefault(stated, []).append(label)
+        if stated is not None and not _alike(stated, unit):
+            found.setdefault((stated, unit), []).append(label)
     return [
         f"{name}: {labels[0]}{f' and {len(labels) - 1} more' if len(labels) > 1 else ''}: the file "
-        f"says {stated}, the mapping {quantity.unit} and is followed; {_remedy(name, stated)}"
-        for stated, labels in found.items()
+        f"says {stated}, the mapping {unit} and is followed; {_remedy(name, stated)}"
+        for (stated, unit), labels in found.items()
     ]
 
 

@@ -147,6 +147,7 @@ def read_log(path: Path, log: Log, columns: Columns | None = None) -> LogTable:
     places = sorted({place(path, names, column) for column in wanted})
     cells = columns.read(places, None if log.block is None else place(path, names, log.block))
     cells = replace(cells, rows=np.arange(len(cells.numbers)))
+    lacks = _other_count(columns, len(cells.numbers))
     clocks = [place(path, names, column) for column in log.clock.columns]
     if isinstance(columns, TextColumns):
         for clock in clocks:
@@ -167,7 +168,7 @@ def read_log(path: Path, log: Log, columns: Columns | None = None) -> LogTable:
         path, columns.where, cells, t, log.clock, [places.index(clock) for clock in clocks]
     )
     values = dict(zip(places, times.cells.numbers.T))
-    doubts = (*cells.doubts, *times.doubts, *_assumed(log.clock, len(times.t)))
+    doubts = (*lacks, *cells.doubts, *times.doubts, *_assumed(log.clock, len(times.t)))
     notes = (*cells.notes, *aside, *times.notes)
     odd = columns.odd_units if isinstance(columns, TextColumns) else None
     table = LogTable(
@@ -175,6 +176,17 @@ def read_log(path: Path, log: Log, columns: Columns | None = None) -> LogTable:
     )
     read = [name for name in log.clock.columns if place(path, names, name) not in columns.clocks]
     return replace(table, doubts=(*doubts, *doubts_of_clock(table, log.clock, read)))
+
+
+def _other_count(columns: Columns, rows: int) -> list[str]:
+    """Return the doubt that a log has another number of rows than its head states."""
+    if not isinstance(columns, TextColumns) or columns.stated_rows is None:
+        return []
+    stated, rows = columns.stated_rows, rows + columns.skip_last
+    if stated == rows:
+        return []
+    missing = f": {stated - rows} are missing, export it again" if rows < stated else ""
+    return [f"the head states {stated} frames, the file holds {rows}{missing}"]
 
 
 def columns_named(log: Log) -> list[Column]:

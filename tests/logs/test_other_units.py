@@ -174,3 +174,44 @@ output = {{ columns = ["{name}"], unit = "N" }}
 def test_a_proposal_never_contradicts_its_log(tmp_path, form):
     found = guess_mapping([log(tmp_path, named(form))])
     assert not any("the file says" in line for line in found.said)
+
+
+@pytest.mark.parametrize(
+    ("row", "factors"),
+    [
+        ("s,mm,mm,cm,cm,cm,mm,mm,mm", (10, 1)),
+        ("[s],[mm],[mm],[mm],[mm],[mm],[m],[m],[m]", (1, 1000)),
+        ("(s),(mm),(mm),(in),(in),(in),(um),(um),(um)", (25.4, 0.001)),
+        ("s,mm,mm,cm,cm,cm,,,", (10, 10)),
+    ],
+)
+def test_each_marker_has_the_unit_of_its_own_columns(tmp_path, row, factors):
+    points = np.concatenate([POINT / factors[0], POINT / 2 / factors[1]], axis=1)
+    columns = np.column_stack([T, U, points])
+    names = [*NAMES[:3], *(f"{m}_{a}" for m in ("mid", "tip") for a in "xyz")]
+    lines = [",".join(names), row, *(",".join(f"{x:.9f}" for x in one) for one in columns)]
+    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
+    text = """schema = "softmap.mapping/1"
+[[log]]
+time = { column = 0 }
+command = { columns = ["u0", "u1"] }
+markers = { columns = [[3, 4, 5], [6, 7, 8]] }
+"""
+    done = import_logs([tmp_path / "log.csv"], parse_mapping(text, "m.toml"))
+    assert np.allclose(done.run.markers[:, 0], POINT, atol=1e-3)
+    assert np.allclose(done.run.markers[:, 1], POINT / 2, atol=1e-3)
+    assert not any("the file says" in one for one in done.doubts)
+
+
+@pytest.mark.parametrize(
+    "row", ["s,mm,mm,mm,cm,m", "s,mm,mm,mm,mm,cm", "[s],[mm],[mm],[cm],[mm],[mm]"]
+)
+def test_a_marker_whose_columns_state_several_units_is_doubted(tmp_path, row):
+    done = doubts(log(tmp_path, NAMES, row + ",-"), ["u0", "u1"], markers="file")
+    assert any(one.startswith("markers: ") and "the file says" in one for one in done.doubts)
+
+
+@pytest.mark.parametrize("names", [["x_cm", "y_cm", "z_cm"], ["x [m]", "y [m]", "z [m]"]])
+def test_a_name_is_held_against_a_mapping_without_a_unit(tmp_path, names):
+    done = doubts(log(tmp_path, [*NAMES[:3], *names, "extra"]), ["u0", "u1"], markers="file")
+    assert any("the file says" in one and "the mapping mm" in one for one in done.doubts)
