@@ -192,6 +192,7 @@ SCHEMAS: dict[str, Schema] = {
         home_visits=integer(minimum=0),
         places_revisited=integer(minimum=0),
         missing=rows(text(), "sentences"),
+        unseen_parts=rows(text(), "sentences on what was not seen; not sound if there are any"),
         warnings=rows(text(), "sentences"),
         can_tell=rows(NOTE),
         cannot_tell=rows(NOTE),

@@ -21,7 +21,7 @@ from typing import Any, TextIO, cast
 from softmap_edge.commands import COMMANDS, ELSEWHERE, RENAMED, Command
 from softmap_edge.commands.parser import Parser, actions_of
 from softmap_edge.errors import RecordingWarning, SessionWarning, SoftmapError, no_name
-from softmap_edge.files.printable import PrintableStream, one_line
+from softmap_edge.files.printable import PrintableStream, one_line, plain_line
 from softmap_edge.version import __version__
 
 DONE, FAULT, WRONG_USE = 0, 1, 2
@@ -263,7 +263,7 @@ def _printing_warnings(name: str) -> Iterator[set[str]]:
             if not issubclass(category, RecordingWarning | SessionWarning):
                 usual(message, category, filename, lineno, file, line)
             elif (text := str(message)) not in printed:
-                print(f"softmap {name}: {text}", file=sys.stderr, flush=True)
+                print(plain_line(f"softmap {name}: {text}"), file=sys.stderr, flush=True)
                 if issubclass(category, RecordingWarning):
                     printed.add(text)
 

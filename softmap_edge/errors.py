@@ -1,13 +1,60 @@
 """The errors of this package; each message states the fault, what is allowed, and the remedy."""
 
+import re
 from collections.abc import Iterable, Mapping
+from unicodedata import category
 
 _LEAST, _MOST = 6, 17  # printed digits of a time
 _NEAR = 0.05  # of the smallest difference: rounding error of a printed time
+LONGEST_WORD, LONGEST_LINE = 300, 1500  # characters of a message
+_LONG_WORD = re.compile(rf"\S{{{LONGEST_WORD + 1},}}")
+
+
+def printable(text: str) -> str:
+    """Return `text` with non-printing characters escaped, except spaces, tabs and line ends."""
+    if text.isprintable():
+        return text
+    return "".join(
+        c if c.isprintable() or c in "\n\t" or category(c) == "Zs" else _escape(c) for c in text
+    )
+
+
+def one_line(text: str) -> str:
+    """Return `text` as one printable line: line ends and tabs are escaped too."""
+    return printable(text.replace("\n", "\\n").replace("\r", "\\r").replace("\t", "\\t"))
+
+
+def plain_line(text: str) -> str:
+    """Return a sentence as one printable line, with overlong words shortened in the middle.
+
+    It is for errors and remarks, which quote names of files, columns and topics. A path may have
+    `LONGEST_WORD` characters.
+    """
+    return shortened(_LONG_WORD.sub(_short_word, one_line(text)), LONGEST_LINE)
+
+
+def shortened(text: str, longest: int) -> str:
+    """Return `text` with at most `longest` characters: an ellipsis stands for its middle."""
+    if len(text) <= longest:
+        return text
+    tail = longest // 3
+    return f"{text[: longest - tail - 1]}…{text[-tail:]}"
+
+
+def _short_word(found: re.Match[str]) -> str:
+    return shortened(found[0], LONGEST_WORD)
+
+
+def _escape(character: str) -> str:
+    units = character.encode("utf-16-be", "surrogatepass")
+    return "".join(f"\\u{units[k]:02x}{units[k + 1]:02x}" for k in range(0, len(units), 2))
 
 
 class SoftmapError(Exception):
-    """Base of every error a user can cause; its message is one complete line."""
+    """Base of every error a user can cause; its message is one complete, printable line."""
+
+    def __init__(self, *args: object) -> None:
+        super().__init__(*(plain_line(one) if isinstance(one, str) else one for one in args))
 
 
 class RunError(SoftmapError):

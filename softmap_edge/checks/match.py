@@ -30,6 +30,7 @@ from softmap_edge.model.effect_info import registry
 from softmap_edge.model.training_range import command_extrapolation
 from softmap_edge.run.conditions import conditions
 from softmap_edge.run.fields import DRIVE
+from softmap_edge.run.run import DAMAGE, known
 
 if TYPE_CHECKING:
     from softmap_edge.model.model import Model
@@ -92,8 +93,8 @@ def declaration_remarks(model: Model, run: Run) -> list[str]:
     )
     if 0.0 < share < LITTLE:
         found.append(
-            f"the commands move by at most {100 * share:.2g} % of what the model was made from; "
-            f"if they are not in {model.command_unit}, set their unit in the mapping"
+            f"the commands move by at most {100 * share:.2g} % of what the model was made from"
+            f"{_why_little(model, run)}"
         )
     most = 0.0 if run.load is None else float(np.max(run.load, initial=0.0))
     if 0.0 < most < NO_LOAD:
@@ -101,6 +102,28 @@ def declaration_remarks(model: Model, run: Run) -> list[str]:
             f"the heaviest load is {most:.3g} g, which moves nothing; `load` is in grams, not kg"
         )
     return found
+
+
+def _why_little(model: Model, run: Run) -> str:
+    """Return why commands may move by little, and the remedy.
+
+    Of a damaged recording the rest is missing. Commands in another unit are too small for the
+    motion of the points.
+    """
+    if DAMAGE in run.extra:
+        return (
+            " in the part of the recording that could be read; copy the recording again, or record "
+            "the rest again"
+        )
+    if run.places is not None and run.output is None:
+        visible = known(run, run.places)
+        moved = spread(np.where(visible[..., None], run.places, 0.0), visible)
+        if moved < MOTION * float(np.linalg.norm(model.rest, axis=1).max()):
+            return (
+                f", and the points by {moved:.2g} mm RMS: little can be identified from such small "
+                "moves; record larger ones"
+            )
+    return f"; if they are not in {model.command_unit}, set their unit in the mapping"
 
 
 def check_run_matches_model(

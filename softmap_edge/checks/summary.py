@@ -20,9 +20,10 @@ from softmap_edge.checks.collinear import collinear_conditions
 from softmap_edge.checks.frame_clock import frame_clock
 from softmap_edge.checks.lost_points import REMEDY, without_lost
 from softmap_edge.checks.unanswered import unanswered
-from softmap_edge.checks.unseen_markers import doubts_of_unseen
+from softmap_edge.checks.unseen_markers import FAR, unseen_parts
 from softmap_edge.files.atomic import Document
 from softmap_edge.files.numbers import folded
+from softmap_edge.files.printable import listed, one_line, plain_line
 from softmap_edge.logs.plausible import overlong_stroke
 from softmap_edge.model.servo_calibration import converted
 from softmap_edge.model.views import laid
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
     from softmap_edge.model.model import Model
 
 SCHEMA = "softmap.check/1"
-FAR = 2.0  # of the extent of the points: if all are farther from the origin, this is no base frame
+MANY = 20  # unknown fields that are named
 SAME_PLACE = 0.02  # of a channel's range
 
 
@@ -50,6 +51,8 @@ def summary(recorded: Run, model: Model | None = None) -> Document:
     - `home_known`: whether 0 can be home (`advice.home_unknown`).
     - `not_seen`: sentences on points that stand for "not seen"; these count as not visible, and the
       run is not sound.
+    - `unseen_parts`: sentences on what was never or hardly seen (`unseen_markers.unseen_parts`); these
+      are also `warnings`, and the run is not sound.
     - `unanswered`: a sentence if commands and motion contradict each other, else None; such a run
       is not sound.
     - `can_tell`, `cannot_tell`: lists of `advice.Advice`, `{about, tells, text, remedy, minutes}`.
@@ -98,6 +101,7 @@ def summary(recorded: Run, model: Model | None = None) -> Document:
         "unknown_fields": sorted(set(run.extra) - OURS),
         "roll_seen": not laid(run),
         "not_seen": lost,
+        "unseen_parts": unseen_parts(run),
         "unanswered": unanswered(run),
         "hash": recorded.hash(),
     }
@@ -113,7 +117,7 @@ def summary(recorded: Run, model: Model | None = None) -> Document:
     document["warnings"] = [
         *_damage(run),
         *filter(None, [depthless]),
-        *doubts_of_unseen(run),
+        *document["unseen_parts"],
         *_warnings(run),
         *filter(None, [drift]),
     ]
@@ -167,20 +171,22 @@ def sentences(document: Document) -> list[str]:
     if d["blocks"]:
         lines.append(
             f"blocks    {len(d['blocks'])}: "
-            f"{', '.join(d['blocks'][:8])}{' …' * (len(d['blocks']) > 8)}"
+            f"{listed(d['blocks'][:8], 8)}{' …' * (len(d['blocks']) > 8)}"
         )
     if d["unknown_fields"]:
-        lines.append(f"kept      {', '.join(d['unknown_fields'])} (not known here, ignored)")
+        kept = listed(d["unknown_fields"], MANY)
+        lines.append(f"kept      {kept} (not known here, ignored)")
     lines += [line for text in d.get("not_seen", []) for line in _hung("look at", text)]
     lines += [line for text in d["missing"] for line in _hung("missing", text)]
     lines += [line for text in d["warnings"] for line in _hung("look at", text)]
     lines += [line for one in d["collinear"] for line in _hung("alike", one["text"])]
     known_to = [] if d.get("unanswered") else d["can_tell"]  # such a run shows nothing of its drive
-    return lines + advice_lines([Advice(**word) for word in [*known_to, *d["cannot_tell"]]])
+    lines += advice_lines([Advice(**word) for word in [*known_to, *d["cannot_tell"]]])
+    return [one_line(line) for line in lines]  # names of fields and blocks are of the file
 
 
 def _hung(name: str, text: str) -> list[str]:
-    return folded(f"{name:<10}{text}", 0, 10)
+    return folded(f"{name:<10}{plain_line(text)}", 0, 10)
 
 
 _DECLARED = (("load", "load_g", "g"), ("temperature", "temperature_c", "°C"))

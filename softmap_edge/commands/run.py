@@ -11,6 +11,7 @@ from pathlib import Path
 from softmap_edge.commands.output import check_file, check_no_run, next_command
 from softmap_edge.commands.parser import Action, add_actions, run_action
 from softmap_edge.errors import RunError
+from softmap_edge.files.printable import plain_line
 from softmap_edge.robot.drive.recorded import open_run
 from softmap_edge.run.contents import contents, lines
 from softmap_edge.run.cut import cut
@@ -142,7 +143,7 @@ def _cut(args: CutOptions) -> int:
         )
         return 0
     for name, (what, piece) in zip(names, found):
-        print(f"{name}: {what}, {len(piece.t)} rows, {piece.frames} frames")
+        print(f"{name}: {plain_line(what)}, {len(piece.t)} rows, {piece.frames} frames")
     if any(piece.t[0] > run.t[0] for _, piece in found) and not args.lead:
         print(
             "  prediction begins in equilibrium at the first row; --lead S keeps the commands "
@@ -209,7 +210,7 @@ def _join(args: JoinOptions) -> int:
         )
     else:
         print("\n".join([f"{args.out}: {len(args.runs)} runs joined", *lines(document)]))
-        print("".join(f"look at   {doubt}\n" for doubt in document["doubts"]), end="")
+        print("".join(f"look at   {plain_line(doubt)}\n" for doubt in document["doubts"]), end="")
         print(next_command("check", args.out))
     return 0
 

@@ -19,7 +19,7 @@ from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import RunError, SoftmapError, SweepError
 from softmap_edge.files.atomic import Document, write_atomically
 from softmap_edge.files.npz import read_npz
-from softmap_edge.files.printable import one_line
+from softmap_edge.files.printable import one_line, plain_line, shortened
 from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.model.bundle import load_chain
 from softmap_edge.model.manifest import load_manifest
@@ -181,6 +181,7 @@ def check(args: CheckOptions) -> int:
             found = _run(path, args.bundle) if kind == "run" else read_summary(path)
         faults = [
             *found.get("not_seen", []),
+            *found.get("unseen_parts", []),
             *(found[key] for key in ("unanswered", "fault") if found.get(key)),
         ]
         document |= found | {"sound": not faults, "fault": "; ".join(faults) or None}
@@ -271,7 +272,7 @@ def show(args: ShowOptions) -> int:
     for field in fields:
         span = "" if field["low"] is None else f"{field['low']:g} to {field['high']:g}"
         print(
-            f"  {one_line(field['name']):<14} {field['shape']!s:<16} {field['type']:<8} "
+            f"  {shortened(one_line(field['name']), 60):<14} {field['shape']!s:<16} {field['type']:<8} "
             f"{span or one_line(field['text'] or '')}"
         )
     for label, values in [] if run is None else _traces(run):
@@ -354,7 +355,7 @@ def _bundle_lines(document: Document) -> list[str]:
             f"{'code':<18} the effect {name} is Python code, {file}: read it, then allow it with "
             f"--effects {file}"
         )
-    return lines
+    return [plain_line(line) for line in lines]
 
 
 def _plain(value: object) -> str:

@@ -14,6 +14,7 @@ from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from softmap_edge.errors import ReportError
+from softmap_edge.files.printable import one_line
 from softmap_edge.run.conditions import Bin
 
 T = TypeVar("T")
@@ -307,7 +308,7 @@ def _value(hint: object, value: object, where: str) -> Any:
         return tuple(_value(inner[0], row, f"{where}[{i}]") for i, row in enumerate(rows))
     if origin is dict:
         return {
-            str(key): _value(inner[1], one, f"{where}.{key}")
+            one_line(str(key)): _value(inner[1], one, f"{where}.{key}")
             for key, one in _typed(Mapping, value, where).items()
         }
     if isinstance(hint, type) and is_dataclass(hint):
@@ -320,6 +321,8 @@ def _value(hint: object, value: object, where: str) -> Any:
                 f"±{_LARGEST:g}; diagnose again"
             )
         return found
+    if hint is str:  # a document may come from anywhere
+        return one_line(_typed(str, value, where))
     return value if hint is Any else _typed(hint, value, where)
 
 

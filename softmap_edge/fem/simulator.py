@@ -24,6 +24,7 @@ from softmap_edge.errors import FingerError, SimulationError, SoftmapError, brie
 from softmap_edge.fem.finger import Finger
 from softmap_edge.fem.groups import named_cells
 from softmap_edge.files.npz import read_npz, write_npz
+from softmap_edge.run.fields import unmasked
 from softmap_edge.version import __version__
 
 Floats = NDArray[np.float64]
@@ -387,7 +388,7 @@ def _drive(finger: Finger) -> Floats:
 
 def _array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Floats:
     try:
-        array = np.ascontiguousarray(value, dtype=np.float64)
+        array = np.ascontiguousarray(unmasked(value))
     except (TypeError, ValueError):
         raise SimulationError(f"{name}: expected numbers of shape {_shape(shape)}") from None
     fits = array.ndim == len(shape) and all(s in (None, n) for s, n in zip(shape, array.shape))

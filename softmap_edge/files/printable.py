@@ -11,35 +11,31 @@ import os
 import shlex
 from collections.abc import Iterable
 from typing import Any, TextIO
-from unicodedata import category
 
+from softmap_edge.errors import one_line, plain_line, printable, shortened
 
-def printable(text: str) -> str:
-    """Return `text` with non-printing characters escaped, except spaces, tabs and line ends."""
-    if text.isprintable():
-        return text
-    return "".join(
-        c if c.isprintable() or c in "\n\t" or category(c) == "Zs" else _escape(c) for c in text
-    )
+__all__ = [
+    "PrintableStream",
+    "listed",
+    "one_line",
+    "plain_line",
+    "printable",
+    "raw",
+    "shell_file",
+    "shell_word",
+    "shortened",
+]
 
-
-def one_line(text: str) -> str:
-    """Return `text` as one printable line: line ends and tabs are escaped too."""
-    return printable(text.replace("\n", "\\n").replace("\r", "\\r").replace("\t", "\\t"))
+LONGEST_NAME = 100  # characters of a listed name
 
 
 def listed(items: Iterable[object], most: int) -> str:
     """Return the first `most` items with commas between them, and the number of the others.
 
-    Each is one printable line.
+    Each is one printable line of at most `LONGEST_NAME` characters.
     """
-    texts = [one_line(str(item)) for item in items]
+    texts = [shortened(one_line(str(item)), LONGEST_NAME) for item in items]
     return ", ".join(texts[:most]) + (f" and {len(texts) - most} more" if len(texts) > most else "")
-
-
-def _escape(character: str) -> str:
-    units = character.encode("utf-16-be", "surrogatepass")
-    return "".join(f"\\u{units[k]:02x}{units[k + 1]:02x}" for k in range(0, len(units), 2))
 
 
 class PrintableStream:

@@ -17,11 +17,11 @@ from softmap_edge.logs.mapping import FILE, LENGTH, Log, Mapping, Quantity
 from softmap_edge.logs.measured import Column, Measured
 from softmap_edge.logs.never_seen import at_one_number, never_seen
 from softmap_edge.logs.not_seen import declared, not_seen
+from softmap_edge.logs.other_units import doubts_of_units
 from softmap_edge.logs.plausible import doubts_of_points
 from softmap_edge.logs.shifted import find_shifted
 from softmap_edge.logs.swaps import find_swaps, mend_swaps
 from softmap_edge.logs.table import LogTable, place
-from softmap_edge.logs.unit_words import LENGTH_WORDS, unit_in_name
 from softmap_edge.run.output import output_of
 from softmap_edge.run.plane import AXES, PLANE
 
@@ -66,7 +66,7 @@ def seen(
     commands = None if t is None else _commands_at(table.t, t, fields)
     if log.output is not None:
         table = _without_lost(table, log.output, log.output.names, commands, 1, notes, doubts)
-        return _outputs(table, log, log.output, fields, notes)
+        return _outputs(table, log, log.output, fields, notes, doubts)
     assert log.markers is not None
     table = _without_unseen(table, log.markers, notes, doubts)
     table = _without_lost(
@@ -249,7 +249,12 @@ def _with_numbers(table: LogTable, columns: tuple[Column, ...], numbers: Array) 
 
 
 def _outputs(
-    table: LogTable, log: Log, measured: Measured, fields: Document, notes: list[str]
+    table: LogTable,
+    log: Log,
+    measured: Measured,
+    fields: Document,
+    notes: list[str],
+    doubts: list[str],
 ) -> Array:
     """Return the times of rows with an output; add outputs (as markers) and labels to `fields`."""
     given = np.asarray(np.isfinite(table.numbers(measured.columns)).any(axis=1))
@@ -258,6 +263,7 @@ def _outputs(
     if not given.all():
         notes.append(f"{int((~given).sum())} of {len(given)} rows have no output and are no frames")
         table = table.rows(given)
+    doubts += doubts_of_units("output", table, measured)
     values = table.numbers(measured.columns) * measured.scale + measured.offset
     output = output_of(values, measured.unit, measured.names)
     fields["output"], fields["markers"] = output, output.markers(values)
@@ -280,25 +286,22 @@ def _few(lines: list[str]) -> list[str]:
 @np.errstate(invalid="ignore")  # a signalling NaN of a damaged file counts as NaN
 def _points(table: LogTable, quantity: Quantity, doubts: list[str], name: str = "markers") -> Array:
     """Return points (K, M, 3) mm in the log's frame; `name` is their key in the mapping."""
-    stated = table.unit(quantity.columns[0])
-    stated = stated if stated in LENGTH else None
-    if stated is None and quantity.unit != FILE and (quantity.scale == 1.0).all():
-        column = str(quantity.columns[0])
-        stated = LENGTH_WORDS.get(unit_in_name(column, LENGTH_WORDS) or "")
-    unit = (stated or "mm") if quantity.unit == FILE else quantity.unit
-    if stated is not None and stated != unit:
-        doubts.append(
-            f"{name}: the file says {stated}, the mapping {unit} and is followed; set unit = "
-            f'"{stated}" if it is wrong'
-        )
+    units = [quantity.unit] * len(quantity.columns)
+    if quantity.unit == FILE:  # of a line of units, or of the format; each marker has its own
+        stated = [table.unit(column) for column in quantity.columns[:: quantity.axes]]
+        usual = next((unit for unit in stated if unit in LENGTH), "mm")
+        units = [unit if unit in LENGTH else usual for unit in stated for _ in range(quantity.axes)]
+    unit = units[0]
+    other = doubts_of_units(name, table, quantity, units)
+    doubts += other
     raw = table.numbers(quantity.columns)
-    raw *= LENGTH[unit]
+    raw *= [LENGTH[unit] for unit in units]
     raw *= quantity.scale
     raw += quantity.offset
     points = raw.reshape(len(raw), -1, quantity.axes)
     if quantity.axes < 3:  # a plane: the third coordinate is not measured
         points = np.concatenate([points, np.zeros((*points.shape[:2], 1))], axis=2)
-    if stated is None or stated == unit:
+    if not other:
         doubts += doubts_of_points(points, unit, name)
     return points
 

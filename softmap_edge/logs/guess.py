@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
 from softmap_edge.files.atomic import Document
+from softmap_edge.files.printable import plain_line
 from softmap_edge.logs.drive_roles import drives_of
 from softmap_edge.logs.fills import unread_ticks
 from softmap_edge.logs.guess_bare import places_by_value
@@ -64,6 +65,10 @@ class Guess:
     assumed: tuple[str, ...]
     unknown: tuple[str, ...]
     said: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        for name in ("assumed", "unknown", "said"):  # they quote names of files and columns
+            object.__setattr__(self, name, tuple(map(plain_line, getattr(self, name))))
 
     def __str__(self) -> str:
         return self.text
@@ -141,7 +146,7 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
     head += [f"# ASSUMED  {line}" for line in found.assumed] + [
         f"# UNKNOWN  {line}" for line in found.unknown
     ]
-    text = "\n".join([*map(_one_line, head), text])
+    text = "\n".join([*map(plain_line, head), text])
     return Guess(text, tuple(found.assumed), tuple(found.unknown), (*apart, *_tried(files, text)))
 
 
@@ -157,14 +162,6 @@ def _nothing_found(sheets: list[Sheet]) -> RunError:
         "mapping by hand: docs/reference/mapping.md lists its keys, examples/trunk.toml shows "
         "the form"
     )
-
-
-def _one_line(comment: str) -> str:
-    """Return a name as one line, so that a comment cannot end within it and continue as keys.
-
-    Names of files and columns may hold any character.
-    """
-    return "".join(c if c.isprintable() else " " for c in comment)
 
 
 def _tried(files: list[Path], text: str) -> tuple[str, ...]:
@@ -369,6 +366,8 @@ def _find_drives(sheets: list[Sheet], found: Found) -> None:
             f"encoders: {width} columns of {_called(found.present[0])}, {found.present[1].why}"
         )
     for pair in roles:
+        if pair[1].kind in {other.kind for _, other in found.others}:
+            continue  # a run holds one of each; it is listed among the columns that are left out
         one = pair[1].kind in ("temperature", "load") and len(pair[1].columns) == 1
         if one or (pair[1].kind == "current" and len(pair[1].columns) == width):
             found.others.append(pair)

@@ -41,9 +41,9 @@ from softmap_edge.logs.sources import (
     topics_of,
 )
 from softmap_edge.logs.table import open_log
-from softmap_edge.logs.time_names import TIME_NAME
+from softmap_edge.logs.time_names import TIME_NAME, is_time_name
 from softmap_edge.logs.triples import Triples, find_pairs, find_triples
-from softmap_edge.logs.unit_words import LENGTH_WORDS, unit_in_name, unknown_unit
+from softmap_edge.logs.unit_words import UNIT_WORDS, unit_in_name, unknown_unit
 
 Array = NDArray[np.float64]
 ROWS = 20_000  # rows examined in each log
@@ -62,37 +62,25 @@ _NO_POINT = re.compile(
 # roles of column groups, the most certain words first; tried on the name, and on the topic of a
 # recording
 ROLES: tuple[tuple[str, str], ...] = (
-    ("current", r"current|(^|_)cur(_|#|$)|amp|_ma$"),
-    ("temperature", r"temp|celsius"),
+    ("current", r"current|(^|_)cur(_|#|$)|(?<![a-z])amp(s|eres?)?(?![a-z])|_ma$"),
+    ("temperature", r"(?<!at)temp(?!l|or)|celsius"),
     ("load", r"(^|_)(load|mass|weight|payload)(_|$)"),
-    ("present", r"present|actual|meas|enc|feedback|(^|_)fb|phi#|joint_?state|theta#|^q#|read"),
+    (
+        "present",
+        r"present|actual|meas|encoder|enc(?![a-z])|feedback|(^|_)fb|phi#|joint_?state|theta#|^q#"
+        r"|(?<![a-z])read(?!y)",
+    ),
     ("present", r"gemessen|(^|[_ .])ist([_ .#-]|wert|winkel|pos|lage|$)"),
     (
         "command",
-        r"^u(_[a-z]{1,2})?_?#|cmd|command|goal|target|set_?point|desired|_des|_ref|action|input|control",
+        r"^u(_[a-z]{1,2})?_?#|cmd|command|goal|target|set_?point|desired|_des|(^|_)ref"
+        r"|(?<![a-z])action|input|control",
     ),
     ("command", r"soll|vorgabe|stell_?(gr|wert|signal)|befehl|f(ü|ue)hrungsgr|consigne"),
     ("command", r"servo|tendon|motor|cable|actuat|pull"),
     ("present", r"^pos(?!e)|position|angle|joint|state|winkel|gelenk|stellung|articulation"),
 )
 _SURE = 7  # of the roles: the names of the others are those of goals and of positions that are read
-_UNIT = LENGTH_WORDS | {
-    "deg": "deg",
-    "degrees": "deg",
-    "°": "deg",
-    "rad": "rad",
-}
-_UNIT |= {
-    "radians": "rad",
-    "ticks": "ticks",
-    "ma": "mA",
-    "a": "A",
-    "g": "g",
-    "kg": "kg",
-    "n": "N",
-    "k": "K",
-}
-_UNIT |= {"degc": "degC", "°c": "degC", "c": "degC"}
 TICK_DEG, TICK_RAD = 360.0 / 4096, 2 * np.pi / 4096  # step of a 12-bit servo
 
 
@@ -366,7 +354,7 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
     """Return the groups of other columns that have a meaning, the most certain first."""
     groups: dict[str, list[str]] = {}
     for name in sheet.names:
-        if name not in spent and name not in sheet.texts and np.isfinite(sheet.column(name)).any():
+        if name not in spent and name not in sheet.texts and _may_drive(sheet, name):
             plain = re.sub(r"[(\[{](\d+)[)\]}]$", r"\1", name)
             stem = re.sub(r"\[[^\]]*\]$", "[#]", name) if sheet.indexed else plain
             stem = re.sub(
@@ -389,10 +377,10 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
             rank = next((k for k, (_, words) in enumerate(ROLES) if re.search(words, text)), None)
             if rank is not None:
                 kind = ROLES[rank][0]
-                unit = _UNIT.get(
-                    (sheet.units.get(names[0]) or unit_in_name(names[0], _UNIT) or "").lower()
+                unit = UNIT_WORDS.get(
+                    (sheet.units.get(names[0]) or unit_in_name(names[0], UNIT_WORDS) or "").lower()
                 )
-                words = {word for word, one in _UNIT.items() if one in UNITS[kind]}
+                words = {word for word, one in UNIT_WORDS.items() if one in UNITS[kind]}
                 odd = None if unit in UNITS[kind] else stated_of(sheet, names[0], words)
                 roles.append(
                     (
@@ -417,6 +405,14 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
         else:
             merged.append((rank, role))
     return [role for _, role in merged]
+
+
+def _may_drive(sheet: Sheet, name: str) -> bool:
+    """Return whether a column has numbers, and is no clock: named like one, and never falling."""
+    known = sheet.column(name)[np.isfinite(sheet.column(name))]
+    last = name.rsplit(".", 1)[-1] if sheet.topic is not None else name
+    rises = len(known) > 1 and known[-1] > known[0] and bool((np.diff(known) >= 0).all())
+    return len(known) > 0 and not (rises and is_time_name(last))
 
 
 def _by_publisher(sheet: Sheet, groups: dict[str, list[str]]) -> list[tuple[str, list[str]]]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.files.printable import one_line
+from softmap_edge.files.toml import quoted
 from softmap_edge.logs.guess_columns import Role, Sheet
 from softmap_edge.logs.guess_time import TimeFound, cell
 from softmap_edge.logs.mapping import ANGLE, LENGTH, SCHEMA
@@ -42,7 +43,7 @@ def mapping_text(sheets: list[Sheet], found: Found, frame: list[str]) -> str:
     unit = found.command[1].unit if found.command is not None else None
     if unit is not None and unit not in (*LENGTH, "ticks"):
         note = "" if unit in ANGLE else "   # UNKNOWN: as the log states it"
-        lines.append(f"command_unit = {json.dumps(unit, ensure_ascii=False)}{note}")
+        lines.append(f"command_unit = {quoted(unit)}{note}")
     if unit == "ticks":
         lines.append(
             'command_unit = "ticks"   # of a model that is learned; `softmap model calibrate` '
@@ -90,17 +91,15 @@ def mapping_text(sheets: list[Sheet], found: Found, frame: list[str]) -> str:
 
 
 def _head(sheet: Sheet, files: int) -> list[str]:
-    lines = [f"file = {json.dumps(sheet.file)}"] if files > 1 else []
-    lines += (
-        [] if sheet.topic is None else [f"topic = {json.dumps(sheet.topic, ensure_ascii=False)}"]
-    )
+    lines = [f"file = {quoted(sheet.file)}"] if files > 1 else []
+    lines += [] if sheet.topic is None else [f"topic = {quoted(sheet.topic)}"]
     if sheet.episode is not None:
         lines.append(
             f"episode = {sheet.episode}   # ASSUMED: the first of the file; each episode is a run "
             "of its own"
         )
     if sheet.below:
-        what = "".join(c if c.isprintable() else " " for c in sheet.below[0].strip()[:40])
+        what = one_line(sheet.below[0].strip()[:40])
         lines.append(f"skip_last_rows = {len(sheet.below)}   # no rows: '{what}'")
     return lines + ([] if sheet.header else ["header = false   # columns are numbers from 0"])
 
@@ -113,8 +112,7 @@ def _inside(sheet: Sheet, found: Found) -> list[str]:
         *((r.kind, (s, r)) for s, r in found.others),
     ):
         if pair is not None and pair[0] is sheet:
-            unit = json.dumps(pair[1].unit, ensure_ascii=False)
-            stated = f", unit = {unit}" if pair[1].unit else ""
+            stated = f", unit = {quoted(pair[1].unit)}" if pair[1].unit else ""
             lines.append(
                 f"{kind} = {{ columns = "
                 f"[{', '.join(cell(sheet, c) for c in pair[1].columns)}]{stated} }}"

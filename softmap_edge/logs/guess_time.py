@@ -8,13 +8,13 @@ falls only where they rise. Pinned by tests/logs/test_guess_time.py.
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.files.toml import quoted
 from softmap_edge.logs.clock import counting_on, find_jump, find_steps
 from softmap_edge.logs.guess_columns import Sheet, last_of
 from softmap_edge.logs.guess_falls import counts_of_roll, treatment
@@ -112,7 +112,7 @@ def cell(sheet: Sheet, name: str) -> str:
         or (sheet.bare and sheet.bare.count(sheet.bare[k]) > 1)
     ):
         return str(k)
-    return json.dumps(name, ensure_ascii=False)
+    return quoted(name)
 
 
 # --- one column ----------------------------------------------------------------------------

@@ -24,12 +24,13 @@ from softmap_edge import _core
 from softmap_edge.errors import RunError, differing_times
 from softmap_edge.files.atomic import Document
 from softmap_edge.files.mcap_records import Damage
-from softmap_edge.files.printable import listed
+from softmap_edge.files.printable import listed, plain_line
 from softmap_edge.logs.clock import corrected
 from softmap_edge.logs.column_roles import doubts_of_roles
 from softmap_edge.logs.frames import choose_frames, seen
 from softmap_edge.logs.held import unhold
 from softmap_edge.logs.mapping import ANGLE, LENGTH, Mapping, Quantity, read_mapping
+from softmap_edge.logs.other_units import doubts_of_units
 from softmap_edge.logs.plausible import (
     doubts_of_base,
     doubts_of_both,
@@ -60,6 +61,10 @@ class Imported:
     notes: tuple[str, ...]
     doubts: tuple[str, ...] = ()
     damage: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("notes", "doubts", "damage"):  # they quote names of files and columns
+            object.__setattr__(self, name, tuple(map(plain_line, getattr(self, name))))
 
 
 def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Imported:
@@ -244,6 +249,12 @@ def _command_rows(
             f"{mapping.path}: {len(owners)} logs hold commands; name the columns of one of them "
             "only"
         )
+    named = [name for log in mapping.logs for name in log.rows]
+    if twice := next((name for name in named if named.count(name) > 1), None):
+        raise RunError(
+            f"{mapping.path}: {named.count(twice)} logs hold {twice}; name the columns of one of "
+            "them only"
+        )
     t: Array | None = None
     for k in owners:
         goals = [
@@ -268,7 +279,8 @@ def _command_rows(
             own, values = _filled(
                 name, tables[k], counted_on(name, tables[k], quantity, notes, doubts)
             )
-            doubts += doubts_of_rows(name, values, quantity)
+            other = doubts_of_units(name, tables[k], quantity)
+            doubts += other or doubts_of_rows(name, values, quantity)
             doubts += doubts_of_unread(name, values, quantity)
             values = _convert(name, values, quantity, mapping)
             if quantity.held != "keep":

@@ -20,6 +20,7 @@ from softmap_edge.logs.clock import kept, times_of
 from softmap_edge.logs.fills import LARGEST, without_fills
 from softmap_edge.logs.mapping import Clock, Log
 from softmap_edge.logs.measured import Column
+from softmap_edge.logs.other_units import doubts_of_clock
 from softmap_edge.logs.readers.cells import find_delimiter
 from softmap_edge.logs.readers.columns import Array, Cells, Columns
 from softmap_edge.logs.readers.kinds import ARRAYS, kind_of
@@ -58,6 +59,8 @@ class LogTable:
     labels: NDArray[np.generic] | None
     notes: tuple[str, ...]
     doubts: tuple[str, ...] = ()
+    # cells of a line of units that are not known, by column; None if the log is no text
+    odd_units: dict[str, str] | None = None
 
     def numbers(self, columns: tuple[Column, ...]) -> Array:
         """Return (rows, len(columns)); missing cells are NaN."""
@@ -70,9 +73,13 @@ class LogTable:
         assert self.labels is not None
         return self.labels
 
+    def name(self, column: Column) -> str:
+        """Return the name of a column that a mapping gives by name or number."""
+        return self.names[place(self.path, self.names, column)]
+
     def unit(self, column: Column) -> str | None:
         """Return the unit of a column if the file states one."""
-        return self.units.get(self.names[place(self.path, self.names, column)])
+        return self.units.get(self.name(column))
 
     def rows(self, keep: NDArray[np.bool_]) -> LogTable:
         """Return a copy with the rows where `keep` (rows,) is true."""
@@ -140,6 +147,7 @@ def read_log(path: Path, log: Log, columns: Columns | None = None) -> LogTable:
     places = sorted({place(path, names, column) for column in wanted})
     cells = columns.read(places, None if log.block is None else place(path, names, log.block))
     cells = replace(cells, rows=np.arange(len(cells.numbers)))
+    lacks = _other_count(columns, len(cells.numbers))
     clocks = [place(path, names, column) for column in log.clock.columns]
     if isinstance(columns, TextColumns):
         for clock in clocks:
@@ -160,9 +168,25 @@ def read_log(path: Path, log: Log, columns: Columns | None = None) -> LogTable:
         path, columns.where, cells, t, log.clock, [places.index(clock) for clock in clocks]
     )
     values = dict(zip(places, times.cells.numbers.T))
-    doubts = (*cells.doubts, *times.doubts, *_assumed(log.clock, len(times.t)))
+    doubts = (*lacks, *cells.doubts, *times.doubts, *_assumed(log.clock, len(times.t)))
     notes = (*cells.notes, *aside, *times.notes)
-    return LogTable(path, times.t, names, columns.units, values, times.cells.labels, notes, doubts)
+    odd = columns.odd_units if isinstance(columns, TextColumns) else None
+    table = LogTable(
+        path, times.t, names, columns.units, values, times.cells.labels, notes, doubts, odd
+    )
+    read = [name for name in log.clock.columns if place(path, names, name) not in columns.clocks]
+    return replace(table, doubts=(*doubts, *doubts_of_clock(table, log.clock, read)))
+
+
+def _other_count(columns: Columns, rows: int) -> list[str]:
+    """Return the doubt that a log has another number of rows than its head states."""
+    if not isinstance(columns, TextColumns) or columns.stated_rows is None:
+        return []
+    stated, rows = columns.stated_rows, rows + columns.skip_last
+    if stated == rows:
+        return []
+    missing = f": {stated - rows} are missing, export it again" if rows < stated else ""
+    return [f"the head states {stated} frames, the file holds {rows}{missing}"]
 
 
 def columns_named(log: Log) -> list[Column]:

@@ -18,6 +18,24 @@ LENGTH_WORDS = {unit: unit for unit in LENGTH} | {
     **dict.fromkeys(("meter", "metre", "meters", "metres"), "m"),
     **dict.fromkeys(("µm", "\u03bcm", "micron", "microns", "micrometer", "micrometre"), "um"),
 }
+# all units that are read, by their words in lower case
+UNIT_WORDS = LENGTH_WORDS | {
+    "deg": "deg",
+    "degrees": "deg",
+    "°": "deg",
+    "rad": "rad",
+}
+UNIT_WORDS |= {
+    "radians": "rad",
+    "ticks": "ticks",
+    "ma": "mA",
+    "a": "A",
+    "g": "g",
+    "kg": "kg",
+    "n": "N",
+    "k": "K",
+}
+UNIT_WORDS |= {"degc": "degC", "°c": "degC", "c": "degC"}
 # at the end of a name behind `_`: words of units that are not read
 _SUFFIX = re.compile(
     r"_((?:\d*\.)?\d+(?:mm|cm|m|um|in|ft|deg|rad)|%|pct|percent|perc|counts?|steps?|pulses?|px|"
@@ -58,7 +76,8 @@ def unit_in_name(name: str, known: Collection[str]) -> str | None:
     """Return the unit at the end of a name: `servo_4_mm`, `Time [ms]`, `u1 (deg)`."""
     name = _NUMBERED.sub("", name)
     bracketed = re.search(r"[\[(]([^\[\]()]*)[\])]$", name.lower())
-    if bracketed and re.match(r"\s*[\d.]+\s*[^\W\d]", bracketed[1]):  # a multiple: 0.1mm
+    # a multiple: 0.1mm; a unit made of several: mm/deg, N m
+    if bracketed and re.match(r"\s*[\d.]+\s*[^\W\d]|.*[/·*^]|\s*k?n\s?m\s*$", bracketed[1]):
         return None
     words: list[str] = re.findall(r"[^\W\d_]+|°[a-z]?", bracketed[1]) if bracketed else []
     words = words or re.findall(r"_([^\W\d_]+|°)$", name.lower())

@@ -28,6 +28,7 @@ from softmap_edge.model.predictors import Shape, all_points, tip
 from softmap_edge.model.servo_calibration import Calibration, converted
 from softmap_edge.model.shapes import BundleArrays, ModeArrays, NetworkArrays, NumbersBefore
 from softmap_edge.model.structure import Structure, StructureFields
+from softmap_edge.run.fields import unmasked
 from softmap_edge.run.output import Output
 from softmap_edge.run.plane import flat
 
@@ -195,13 +196,13 @@ class Model:
     def tip(self, acting: Floats) -> Floats:
         """Return the tip (n, 3) mm in the base frame for effective commands `acting` (n, C) mm.
 
-        Sensing effects are not applied.
+        Sensing effects are not applied. The tip is NaN where a command is masked or NaN.
         """
-        return np.asarray(self.tip_shape.evaluate(np.asarray(acting, float)))
+        return np.asarray(self.tip_shape.evaluate(unmasked(acting)))
 
     def tip_jacobian(self, acting: Floats) -> Floats:
         """Return the slopes (n, 3, C) of the tip, mm per mm, at commands `acting` (n, C) mm."""
-        return np.asarray(self.tip_shape.jacobian(np.asarray(acting, float)))
+        return np.asarray(self.tip_shape.jacobian(unmasked(acting)))
 
     def missing_for(self, name: str) -> list[str]:
         """Return what the effect `name` needs and this model lacks.
@@ -242,7 +243,7 @@ class Model:
                 there = ", ".join(dict.fromkeys(chain.group_labels))
                 raise SoftmapError(f"no parameter '{unknown[0]}' in the chain; there are {there}")
             params = valued(chain, params, chain.null)
-        params = spread(chain, np.asarray(params, float))
+        params = spread(chain, unmasked(params))
         if params.shape != (len(chain.labels),):
             groups = list(dict.fromkeys(chain.group_labels))
             raise SoftmapError(

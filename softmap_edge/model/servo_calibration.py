@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge.errors import CalibrationError
 from softmap_edge.files.atomic import Document
+from softmap_edge.run.fields import mask_of, masked_text, unmasked
 from softmap_edge.run.rest_command import home_command
 from softmap_edge.run.run import CALIBRATION, HOME_TICKS, Run, text_in
 
@@ -132,12 +133,12 @@ class Calibration:
 
         It has no uncertainty, error or frames; `source` takes the place of the run.
         """
-        slope, shift = np.asarray(A, float), np.asarray(b, float)
+        slope, shift = unmasked(A), unmasked(b)
         none = dict.fromkeys(ERRORS, 0.0)
         return cls(
             slope,
             shift,
-            np.asarray(home, float),
+            unmasked(home),
             0 * slope,
             0 * shift,
             none,
@@ -155,17 +156,21 @@ class Calibration:
         return float(size[0] / size[-1]) if size[-1] > 0 else np.inf
 
     def commands(self, ticks: ArrayLike) -> Floats:
-        """Return the commands (n, C) in `unit` for ticks (n, C)."""
-        return np.asarray((np.asarray(ticks, float) - self.home) @ self.A.T + self.b)
+        """Return the commands (n, C) in `unit` for ticks (n, C); NaN for a row that lacks ticks."""
+        return np.asarray((unmasked(ticks) - self.home) @ self.A.T + self.b)
 
     def ticks(self, commands: ArrayLike) -> NDArray[np.int64]:
-        """Return the ticks (n, C) for commands (n, C), rounded to integers."""
-        away = np.linalg.solve(self.A, (np.asarray(commands, float) - self.b).T).T
+        """Return the ticks (n, C) for commands (n, C), rounded to integers.
+
+        Raises:
+            CalibrationError: a command is masked or not finite.
+        """
+        away = np.linalg.solve(self.A, (_finite("commands", commands) - self.b).T).T
         return np.rint(self.home + away).astype(np.int64)
 
     def within(self, command: ArrayLike, low: ArrayLike, high: ArrayLike) -> Floats:
         """Return the effective `command` (C,) with servos limited to `low`, `high` (C,) ticks."""
-        away = np.linalg.solve(self.A, np.asarray(command, float) - self.b)
+        away = np.linalg.solve(self.A, _finite("command", command) - self.b)
         ticks = np.clip(self.home + away, low, high)
         return np.asarray(self.A @ (ticks - self.home) + self.b)
 
@@ -174,12 +179,12 @@ class Calibration:
 
         Servos lose their turn count when their power is off.
         """
-        turns = np.rint((np.asarray(home, float) - self.home) / TURN)
+        turns = np.rint((_finite("home", home) - self.home) / TURN)
         return replace(self, home=self.home + TURN * turns) if turns.any() else self
 
     def holding(self, reach: ArrayLike) -> tuple[float, float]:
         """Return the window (low, high) of ticks about home that contains `reach` (C, 2)."""
-        away = self.ticks(list(product(*np.asarray(reach, float)))) - self.home
+        away = self.ticks(list(product(*_finite("reach", reach)))) - self.home
         return float(away.min()), float(away.max())
 
     def usable(self, reach: ArrayLike) -> Floats:
@@ -191,7 +196,7 @@ class Calibration:
         Raises:
             CalibrationError: home lies outside `reach`.
         """
-        box = np.asarray(reach, float)
+        box = _finite("reach", reach)
         if self.window is None:
             return box
         if np.any(self.b < box[:, 0]) or np.any(self.b > box[:, 1]):
@@ -409,8 +414,24 @@ def _driven(run: Run, drive: Run) -> Run:
     return driven
 
 
+def _finite(name: str, value: ArrayLike) -> Floats:
+    """Return numbers that must all be finite, since no tick stands for a missing command."""
+    numbers = unmasked(value)
+    if not np.isfinite(numbers).all():
+        at = [int(i) for i in np.argwhere(~np.isfinite(numbers))[0]]
+        raise CalibrationError(
+            f"{name}: {int((~np.isfinite(numbers)).sum())} of {numbers.size} numbers are masked or "
+            f"not finite, the first at {at}; remove or interpolate them"
+        )
+    return numbers
+
+
 def _numbers(name: str, value: object) -> Floats:
     """Return finite numbers of a plausible size."""
+    if (hidden := mask_of(value)) is not None:
+        raise CalibrationError(
+            f"calibration: {name}: {masked_text(hidden)}; give all of its numbers"
+        )
     array = np.asarray(value)
     if array.dtype.kind not in "fiu":
         raise CalibrationError(f"calibration: {name} holds {array.dtype}, expected numbers")

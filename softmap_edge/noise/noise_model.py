@@ -150,6 +150,8 @@ def noise_off_shapes(seen: Floats, state: Conditions) -> Noise | None:
     if body is None or features < 2 * body.scores.shape[1]:
         return None
     known = np.isfinite(body.remainder)
+    if not known.any():
+        return None
     rest = np.where(known, body.remainder, 0.0)
     frames = int(known.any(axis=1).sum())
     degrees = (frames - body.coefficients) * float(known[known.any(axis=1)].mean())

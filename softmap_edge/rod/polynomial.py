@@ -26,6 +26,7 @@ from softmap_edge.rod.memory import FEW_CHANNELS, FRAMES, Memory, find_memory, r
 from softmap_edge.rod.reference_run import Fitted, ReferenceFrames
 from softmap_edge.rod.regression import RIDGE_STEPS, Regression, choose_basis
 from softmap_edge.rod.static_map import StaticMap
+from softmap_edge.run.fields import unmasked
 from softmap_edge.run.folds import Folds
 
 Floats = NDArray[np.float64]
@@ -174,7 +175,7 @@ def _base(base: ArrayLike | None, markers: Floats) -> Floats:
         wide = float(np.ptp(markers[..., :2], axis=0).max(initial=0.0))
         level = float(np.ptp(markers[..., 2], axis=0).max(initial=0.0)) < LEVEL * wide
         return np.array([0.0, 0.0, float(markers[0, 0, 2]) - FAR_BELOW * wide if level else 0.0])
-    point = np.array(base, float)
+    point = np.array(unmasked(base))
     if point.shape != (3,) or not np.all(np.isfinite(point)):
         raise SoftmapError(f"base of shape {point.shape}: expected three finite numbers in mm")
     return point

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from softmap_edge.files.atomic import Document
+from softmap_edge.files.printable import listed, one_line
 from softmap_edge.run.fields import ROW_S
 from softmap_edge.run.pieces import spans
 from softmap_edge.run.run import OURS, Run
@@ -120,8 +121,8 @@ def lines(document: Document) -> list[str]:
     ]
     found += _listed("blocks", [_block(one, d["timeless"]) for one in d["blocks"]])
     found += _listed("origin", [_piece(one, d["hash"], d["timeless"]) for one in d["origin"]])
-    found += [f"kept      {', '.join(d['kept'])} (not known here, ignored)"] if d["kept"] else []
-    return [*found, f"hash      {d['hash']}"]
+    found += [f"kept      {listed(d['kept'], MOST)} (not known here, ignored)"] if d["kept"] else []
+    return [one_line(line) for line in [*found, f"hash      {d['hash']}"]]
 
 
 def _seen(document: Document) -> str:
@@ -146,7 +147,7 @@ def _conditions(declared: Document) -> str:
 
 
 def _block(one: Document, timeless: bool) -> str:
-    return f"{one['label']}: {one['frames']} frames from {_between(one, timeless)}"
+    return f"{listed([one['label']], 1)}: {one['frames']} frames from {_between(one, timeless)}"
 
 
 def _between(one: Document, timeless: bool) -> str:

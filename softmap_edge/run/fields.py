@@ -135,12 +135,8 @@ def convert(name: FieldName, value: object) -> NDArray[np.generic]:
     kind = AXES[name][1]
     hidden = mask_of(value)
     if hidden is not None and name not in PLACES:
-        at = [int(i) for i in np.argwhere(hidden)[0]]
         remedy = "give false there" if kind == "boolean" else "remove or interpolate these rows"
-        raise RunError(
-            f"{name}: {int(hidden.sum())} values of {hidden.size} are masked, the first at {at}; "
-            f"{remedy}"
-        )
+        raise RunError(f"{name}: {masked_text(hidden)}; {remedy}")
     if hidden is not None:
         value = unmasked(value)  # type: ignore[arg-type]
     try:
@@ -169,6 +165,39 @@ def convert(name: FieldName, value: object) -> NDArray[np.generic]:
             raise RunError(f"{name}: values beyond 2^53; give ticks counted from home")
         return frozen(array.astype(np.int64))
     return frozen(np.array(array, np.float64, order="C"))
+
+
+def kept(name: str, value: object, complete: bool) -> NDArray[np.generic]:
+    """Return a field of `Run.extra`, with NaN where numbers are masked or None.
+
+    Args:
+        name: of the field.
+        value: as given; a plain array is returned unchanged.
+        complete: whether the field must have all of its numbers.
+
+    Raises:
+        RunError: a masked value cannot be NaN, or the field holds Python objects.
+    """
+    if type(value) is np.ndarray and value.dtype.kind != "O":
+        return value
+    hidden, array = mask_of(value), np.asarray(value)
+    if hidden is not None and (complete or array.dtype.kind not in "iuf"):
+        what = "must be complete" if complete else f"of type {array.dtype} cannot be missing"
+        raise RunError(f"extra {name}: {masked_text(hidden)}; values {what}: fill them in")
+    if hidden is not None:
+        return unmasked(value)  # type: ignore[arg-type]
+    if array.dtype.kind == "O":
+        one = (int, float, np.integer, np.floating)
+        if complete or not all(x is None or isinstance(x, one) for x in array.flat):
+            raise RunError(f"extra {name}: Python objects; give an array of numbers or of texts")
+        return np.asarray(array, np.float64)  # None becomes NaN
+    return array
+
+
+def masked_text(hidden: NDArray[np.bool_]) -> str:
+    """Return how many values are masked, and where the first is."""
+    at = [int(i) for i in np.argwhere(hidden)[0]]
+    return f"{int(hidden.sum())} values of {hidden.size} are masked, the first at {at}"
 
 
 def frozen(array: NDArray[np.generic]) -> NDArray[np.generic]:

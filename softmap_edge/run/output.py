@@ -115,9 +115,8 @@ def output_of(values: ArrayLike, unit: str, names: tuple[str, ...] = ()) -> Outp
         raise RunError(
             f"output: shape {rows.shape}, expected (K, Q) finite numbers, one column an output"
         )
-    spread = float(
-        np.max(np.nanmax(rows, axis=0) - np.nanmin(rows, axis=0), initial=0.0, where=_known(rows))
-    )
+    some = rows[:, np.isfinite(rows).any(axis=0)]
+    spread = float(np.max(np.nanmax(some, axis=0) - np.nanmin(some, axis=0), initial=0.0))
     if not spread > 0:
         raise RunError("output: no column moves; name the columns of what was measured")
     if (far := float(np.nanmax(np.abs(rows)))) > FARTHEST * spread:
@@ -144,8 +143,3 @@ def needs_time(effect: Document) -> bool:
     # an instant may also be a row
     units = [p["unit"] for p in effect["parameters"] if p["name"] != "at"]
     return any(unit == "s" or unit.endswith(("/s", "/min")) for unit in units)
-
-
-def _known(rows: Floats) -> NDArray[np.bool_]:
-    """Return which outputs (Q,) have any value."""
-    return np.asarray(np.isfinite(rows).any(axis=0))

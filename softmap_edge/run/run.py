@@ -176,7 +176,7 @@ class Run:
             (`of_outputs`).
         timeless: whether `t` counts rows because the log has no time; nothing about rates can then
             be learned.
-        extra: unknown fields, kept unchanged.
+        extra: unknown fields, kept unchanged; masked numbers and None become NaN.
 
     Raises:
         RunError: a field is invalid; the message gives its name, its value and the expected one.
@@ -245,6 +245,11 @@ class Run:
 
     def __post_init__(self) -> None:
         self._hide_masked()
+        extra = {
+            name: fields.kept(name, value, name in (HOME_TICKS, SPOOL_RADIUS))
+            for name, value in self.extra.items()
+        }
+        object.__setattr__(self, "extra", extra)
         for name in fields.AXES:
             value = self.array(name)
             if value is not None:
@@ -413,7 +418,7 @@ class Run:
     def command_at(self, t: ArrayLike, source: Source | None = "goal") -> Array:
         """Return the commands (n, C) at times t (n,) s: linear between rows, held outside."""
         rows = self.commands(source)
-        times = np.atleast_1d(np.asarray(t, float))
+        times = np.atleast_1d(unmasked(t))
         columns = [np.interp(times, self.t, rows[:, c]) for c in range(rows.shape[1])]
         return np.stack(columns, axis=1) if columns else np.zeros((len(times), 0))
 
@@ -429,6 +434,10 @@ class Run:
         Raises:
             RunError: the selection does not fit the frames.
         """
+        if (hidden := mask_of(select)) is not None:
+            raise RunError(
+                f"select: {fields.masked_text(hidden)}; give true or false for each frame"
+            )
         chosen = np.asarray(select)
         if chosen.dtype == bool and chosen.shape != (self.frames,):
             raise RunError(

@@ -11,12 +11,16 @@ from recordings import (
     joint_state,
     places,
     pose_array,
+    robot_messages,
     transforms,
     write_mcap,
 )
 
+from softmap_edge.errors import RunError
 from softmap_edge.logs.guess import guess_mapping
 from softmap_edge.logs.guess_columns import drive_unit
+from softmap_edge.logs.importer import import_logs
+from softmap_edge.logs.mapping import parse_mapping
 
 T = np.arange(60) * 0.05
 TIP = np.c_[10 + 6 * np.sin(1.3 * T), 3.6 * np.cos(T), 90 - 0.75 * np.sin(1.3 * T)]
@@ -154,3 +158,67 @@ def test_channels_that_rest_at_different_values_show_no_unit(tmp_path):
     path = log(tmp_path, ["cmd_1", "cmd_2", "enc_1", "enc_2"], 0 * DRIVES + 1, 12 * DRIVES)
     found = guess_mapping([path])
     assert 'unit = "deg"' in line(found, "present") and 'unit = "deg"' in line(found, "command")
+
+
+@pytest.mark.parametrize("names", [["left"], ["left", "right"], ["a", "b", "c"]])
+def test_a_stamp_of_a_message_is_no_command_and_no_current(names, tmp_path):
+    recorded = robot_messages(60)
+    for _, kind, message, _ in recorded:
+        if kind == JOINT_STATE:
+            message["name"] = names
+            message["position"] = [message["position"][k % 2] * (k + 1) for k in range(len(names))]
+    found = guess_mapping([write_mcap(tmp_path / "log.mcap", recorded)])
+    wanted = ", ".join(f'"position[{name}]"' for name in names)
+    assert f"command = {{ columns = [{wanted}]" in found.text
+    assert f"present = {{ columns = [{wanted}]" in found.text
+    assert "current" not in found.text and not any("cannot be imported" in s for s in found.said)
+
+
+@pytest.mark.parametrize(
+    ("header", "command", "present"),
+    [
+        ("t,reference_1,reference_2,measured_1,measured_2", "reference", "measured"),
+        ("t,ref_1,ref_2,clamp_1,clamp_2,enc_1,enc_2", "ref", "enc"),
+        ("t,motor_time,motor_1,motor_2,sample_1,sample_2", "motor", None),
+        ("t,reaction_1,reaction_2,cmd_1,cmd_2,readback_1,readback_2", "cmd", "readback"),
+        ("t,attempt,cable_1,cable_2,ramp_1,ramp_2,spread_1,spread_2", "cable", None),
+    ],
+)
+def test_a_word_within_another_word_is_no_role(header, command, present, tmp_path):
+    names = header.split(",")
+    t = np.arange(60) / 20
+    rows = [t] + [
+        t if name == "motor_time" else (4 + 0.1 * k) * np.sin(t * (2 + 0.1 * k))
+        for k, name in enumerate(names[1:])
+    ]
+    lines = [header] + [",".join(f"{x:.4f}" for x in row) for row in zip(*rows)]
+    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
+    text = guess_mapping([tmp_path / "log.csv"]).text
+    assert f'command = {{ columns = ["{command}_1", "{command}_2"]' in text
+    assert ("present = {" in text) == (present is not None) and "current = {" not in text
+    assert present is None or f'present = {{ columns = ["{present}_1", "{present}_2"]' in text
+    assert "temperature = {" not in text
+
+
+@pytest.mark.parametrize("name", ["current", "temperature", "present"])
+def test_one_quantity_in_two_logs_is_refused(name, tmp_path):
+    for file in ("a.csv", "b.csv"):
+        rows = [
+            f"{k / 10},{np.sin(k / 5):.4f},{100 + k},{k % 7},{k % 5},{50 + k % 3}"
+            for k in range(60)
+        ]
+        (tmp_path / file).write_text("\n".join(["t,u,i,x,y,z", *rows]) + "\n")
+    text = f"""schema = "softmap.mapping/1"
+[[log]]
+file = "a.csv"
+time = {{ column = "t" }}
+command = {{ columns = ["u"] }}
+{name} = {{ columns = ["i"] }}
+[[log]]
+file = "b.csv"
+time = {{ column = "t" }}
+{name} = {{ columns = ["i"] }}
+markers = {{ columns = [["x", "y", "z"]] }}
+"""
+    with pytest.raises(RunError, match=f"2 logs hold {name}; name the columns of one of them"):
+        import_logs([tmp_path / "a.csv", tmp_path / "b.csv"], parse_mapping(text, "m.toml"))

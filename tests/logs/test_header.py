@@ -219,3 +219,29 @@ def test_too_many_columns_are_an_error_before_the_work(tmp_path, line):
     with pytest.raises(RunError, match=r"line 2 has \d+ columns, at most 50000 are read"):
         guess_mapping([path])
     assert time.process_time() - began < 3
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
+@pytest.mark.parametrize("quote", ["", '"'])
+@pytest.mark.parametrize("every", [3, 50, 90])
+def test_a_head_that_is_repeated_hides_no_column_from_a_proposal(delimiter, quote, every, tmp_path):
+    head = delimiter.join(
+        f"{quote}{name}{quote}" for name in ("time_s", "cmd_0", "cmd_1", "x", "y", "z")
+    )
+    lines = [head]
+    for k in range(200):
+        if k and k % every == 0:
+            lines.append(head)
+        numbers = [
+            k / 20,
+            5 * np.sin(k / 9),
+            4 * np.cos(k / 7),
+            np.sin(k / 9) * 9,
+            k % 3,
+            90 + k / 50,
+        ]
+        lines.append(delimiter.join(f"{x:.4f}" for x in numbers))
+    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
+    found = guess_mapping([tmp_path / "log.csv"])
+    assert 'command = { columns = ["cmd_0", "cmd_1"]' in found.text
+    assert any("lines that repeat the head" in line for line in found.said)

@@ -12,6 +12,7 @@ from recordings import LABELS, places, write_c3d, write_motive, write_trc
 from softmap_edge.errors import RunError
 from softmap_edge.logs.guess import guess_mapping
 from softmap_edge.logs.importer import import_logs, read_mapping
+from softmap_edge.logs.mapping import parse_mapping
 from softmap_edge.logs.table import open_log
 
 MAP = """schema = "softmap.mapping/1"
@@ -188,3 +189,27 @@ def test_the_beam_falls_under_gravity_and_further_with_a_load(tmp_path):
         assert 85 < tip[0, 2] < 100  # mm from the base along +z
         drop[name] = tip[0] - tip[-100:].mean(axis=0)
     assert [round(float(d[0])) for d in drop.values()] == pytest.approx([6, 16, 25], abs=1.5)
+
+
+@pytest.mark.parametrize("kept", [59, 31, 12])
+@pytest.mark.parametrize("form", ["trc", "motive"])
+def test_frames_that_the_head_states_and_the_file_lacks_are_doubted(form, kept, tmp_path):
+    t, points = places()
+    if form == "trc":
+        path = write_trc(tmp_path / "log.trc", t, points)
+    else:
+        path = write_motive(tmp_path / "log.csv", t, points / 1000)
+        text = path.read_text("utf-8-sig")
+        head = text.replace("Length Units", "Total Exported Frames,60,Length Units", 1)
+        path.write_text(head, "utf-8-sig")
+    lines = path.read_text("utf-8-sig").rstrip("\n").split("\n")
+    mapping = 'schema = "softmap.mapping/1"\n[[log]]\ntime = { column = "time" }\n'
+    mapping += 'markers = { columns = [["tip.x", "tip.y", "tip.z"]] }\n'
+    assert not any(
+        "head states" in d for d in import_logs([path], parse_mapping(mapping, path)).doubts
+    )
+    path.write_text("\n".join(lines[: len(lines) - 60 + kept]) + "\n", "utf-8-sig")
+    done = import_logs([path], parse_mapping(mapping, path))
+    assert done.run.frames == kept
+    (doubt,) = [one for one in done.doubts if "head states" in one]
+    assert f"60 frames, the file holds {kept}: {60 - kept} are missing" in doubt

@@ -6,7 +6,10 @@ from sound_run import C, K, N, T, fields, sound
 
 from softmap_edge import builtin_model
 from softmap_edge.checks.summary import summary
-from softmap_edge.errors import RunError, SoftmapError
+from softmap_edge.errors import CalibrationError, RunError, SoftmapError
+from softmap_edge.fem.finger import Finger
+from softmap_edge.fem.simulator import Simulator
+from softmap_edge.model.servo_calibration import Calibration
 from softmap_edge.robot.control.supervisor import numbers
 from softmap_edge.robot.motion.kinematics import Kinematics
 from softmap_edge.run.fields import unmasked
@@ -94,3 +97,88 @@ def test_masked_commands_and_targets_are_not_driven():
 
 def test_whole_numbers_behind_a_mask_become_nan():
     assert np.isnan(unmasked(masked(np.array([1, 2]), 0, -1))).tolist() == [True, False]
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        masked([1.5, 2.5, 3.5], 1, 9999.0),
+        masked(np.array([7, 8, 9]), 1, -1),
+        np.array([1.0, None, 3.0], object),
+        [1, None, 3],
+    ],
+)
+def test_missing_numbers_of_an_unknown_field_become_nan(given, tmp_path):
+    run = sound(extra={"humidity": given})
+    run.save(tmp_path / "run.npz")
+    for one in (run, Run.load(tmp_path / "run.npz"), run.at([0, 1])):
+        assert np.isnan(one.extra["humidity"]).tolist() == [False, True, False]
+        assert type(one.extra["humidity"]) is np.ndarray
+
+
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [
+        ("home_ticks", masked([2048.0, 2048.0], 1, 0.0)),
+        ("spool_radius_mm", np.ma.masked_array(5.0, True)),
+        ("operator", masked(np.array(["a", "b"]), 1, "?")),
+        ("lamp", masked(np.array([True, False]), 0, True)),
+        ("note", np.array([{"a": 1}], object)),
+        ("home_ticks", [2048, None]),
+    ],
+)
+def test_a_field_that_cannot_lack_a_value_is_one_clear_error(name, given):
+    with pytest.raises(RunError, match=f"^extra {name}: ") as fault:
+        sound(extra={name: given})
+    assert "\n" not in str(fault.value)
+
+
+def test_a_plain_unknown_field_is_the_same_array():
+    given = np.arange(3)
+    assert sound(extra={"count": given}).extra["count"] is given
+
+
+TICKS = Calibration.stated(0.01 * np.eye(2), [0.0, 0.0], [2048.0, 2048.0], "stated")
+
+
+@pytest.mark.parametrize(
+    "command", [masked([[1.0, 2.0]], (0, 1), 5.0), [[1.0, None]], [[np.nan, 0.0]]]
+)
+def test_no_tick_stands_for_a_missing_command(command):
+    with pytest.raises(CalibrationError, match="commands: 1 of 2 numbers are masked or not finite"):
+        TICKS.ticks(command)
+    with pytest.raises(CalibrationError, match="command: 1 of 2"):
+        TICKS.within(command[0], [0, 0], [4096, 4096])
+    assert np.isnan(TICKS.commands(command)).all()
+
+
+@pytest.mark.parametrize("name", ["A", "b", "home"])
+def test_a_calibration_with_a_masked_number_is_refused(name):
+    given = dict(A=0.01 * np.eye(2), b=np.zeros(2), home=np.full(2, 2048.0))
+    given[name] = masked(given[name], 0, 1.0)
+    with pytest.raises(CalibrationError, match=f"calibration: {name} "):
+        Calibration.stated(**given, source="stated")
+    given |= dict(sigma_A=np.eye(2), sigma_b=np.zeros(2), held_out={}, run="r", frames=0, held=0)
+    with pytest.raises(CalibrationError, match=rf"calibration: {name}: \d values of \d are masked"):
+        Calibration(**given)
+
+
+@pytest.mark.parametrize(
+    "command", [masked([[1.0, 2.0], [3.0, 1.0]], (0, 1), 0.0), [[1, None], [3, 1]]]
+)
+def test_the_tip_of_a_missing_command_is_missing(command):
+    model = builtin_model()
+    tip, slopes = model.tip(command), model.tip_jacobian(command)
+    assert np.isnan(tip[0]).all() and np.isfinite(tip[1]).all()
+    assert np.isnan(slopes[0]).all() and np.isfinite(slopes[1]).all()
+
+
+def test_masked_parameters_frames_and_times_are_not_taken():
+    model = builtin_model()
+    with pytest.raises(SoftmapError, match="is not a finite number"):
+        model.with_effects(["gain"], masked([1.1] * model.channels, 0, 1.0))
+    with pytest.raises(RunError, match="select: 1 values of 12 are masked"):
+        sound().at(masked(np.ones(K, bool), 2, True))
+    assert np.isnan(sound().command_at(masked([0.1, 0.2], 1, 0.0))[1]).all()
+    with pytest.raises(SoftmapError, match="commands: got shape"):
+        Simulator(Finger.builtin()).path(masked([[1.0, 2.0]], (0, 0), 0.0))

@@ -8,6 +8,7 @@ the unit.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from softmap_edge.errors import RunError
@@ -62,7 +63,7 @@ def open_trc(path: Path) -> TextColumns:
             "expected three for each; export it again"
         )
     names = ["frame", "time", *(f"{label}.{axis}" for label in labels for axis in "xyz")]
-    return _rows(path, names, "\t", cells, 5, stated.get("Units", ""))
+    return _rows(path, names, "\t", cells, 5, stated.get("Units", ""), stated.get("NumFrames", ""))
 
 
 def open_motive(path: Path) -> TextColumns:
@@ -95,13 +96,20 @@ def open_motive(path: Path) -> TextColumns:
         names.append(column if column not in taken else f"{column} ({kind})")
         taken.add(names[-1])
     stated = dict(zip(cells[0][::2], cells[0][1::2]))
-    return _rows(path, names, ",", cells, at + 1, stated.get("Length Units", ""))
+    count = stated.get("Total Exported Frames", "")
+    return _rows(path, names, ",", cells, at + 1, stated.get("Length Units", ""), count)
 
 
 def _rows(
-    path: Path, names: list[str], delimiter: str, cells: list[list[str]], at: int, unit: str
+    path: Path,
+    names: list[str],
+    delimiter: str,
+    cells: list[list[str]],
+    at: int,
+    unit: str,
+    count: str,
 ) -> TextColumns:
-    """Return where the rows below the header begin, and the unit of the coordinates."""
+    """Return where the rows below the header begin, the unit of the coordinates, and the count."""
     while at < len(cells) and not (cells[at] and cells[at][0] and is_number(cells[at][0])):
         at += 1
     if at == len(cells):
@@ -114,4 +122,5 @@ def _rows(
         name for name in names if name[-2:] in (".x", ".y", ".z") and ".rotation." not in name
     ]
     units = dict.fromkeys(places, known) if known else {}
-    return TextColumns(path, names, at + 1, delimiter, ".", units=units)
+    rows = int(count) if re.fullmatch(r"[0-9]{1,9}", count.strip()) else None
+    return TextColumns(path, names, at + 1, delimiter, ".", units=units, stated_rows=rows)

@@ -62,6 +62,7 @@ class TextColumns:
     skip_last: int = 0
     units: dict[str, str] = field(default_factory=dict)
     odd_units: dict[str, str] = field(default_factory=dict)  # cells of a line of units, not known
+    stated_rows: int | None = None  # number of rows that the head states
     notes: tuple[str, ...] = ()
     where: str = "line"
     header: bool = True
@@ -90,10 +91,11 @@ class TextColumns:
         return found
 
     def _first_rows(self, rows: int) -> list[list[str]]:
-        """Return the cells of the first rows that are full."""
+        """Return the cells of the first rows that are full, without heads among them."""
         lines = [line for line in first_lines(self.path, rows, self.first) if line.strip()]
         cells = [split(self._fitted(with_minus(line)), self.delimiter) for line in lines]
-        return [row for row in cells if len(row) == len(self.names)]
+        full = [row for row in cells if len(row) == len(self.names)]
+        return [row for row in full if not names_again(row, self.names)]
 
     def with_clocks(self, order: str | None) -> TextColumns:
         """Return a copy with its columns of dates and times identified.

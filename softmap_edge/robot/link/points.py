@@ -34,6 +34,7 @@ from softmap_edge.robot.link.session import (
     dropped_words,
     signed,
 )
+from softmap_edge.run.fields import unmasked
 
 MARK, OFFER_MARK = b"SMP1", b"SMQ1"
 _HEAD = struct.Struct("<4sHH16sQd")
@@ -107,13 +108,13 @@ class PointSender(Sender):
         Raises:
             LinkError: points are invalid, too many, or not in mm, or the stamp is invalid.
         """
-        now = np.array(points, np.float32)
+        now = np.array(unmasked(points), np.float32)
         if now.ndim != 2 or now.shape[1:] != (3,) or not 1 <= len(now) <= MOST_POINTS:
             raise LinkError(
                 f"points of shape {now.shape}; expected (N, 3) with 1 to {MOST_POINTS} points"
             )
         if visible is not None:
-            shown = np.asarray(visible, bool)
+            shown = np.asarray(np.ma.filled(visible, False), bool)
             if shown.shape != now.shape[:1]:
                 raise LinkError(
                     f"visible of shape {shown.shape}, expected ({len(now)},) for {len(now)} points"

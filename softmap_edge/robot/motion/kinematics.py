@@ -104,7 +104,7 @@ class Kinematics:
             raise SoftmapError(
                 f"the model of '{model.robot}' takes no commands: nothing moves its tip"
             )
-        hangs = np.asarray(model.gravity_reference if gravity is None else gravity, float)
+        hangs = unmasked(model.gravity_reference if gravity is None else gravity)
         unit = gravity is None or (hangs.shape == (3,) and abs(np.linalg.norm(hangs) - 1.0) < 1e-3)
         if not unit or not 0.0 <= load <= HEAVIEST:
             raise SoftmapError(
@@ -188,7 +188,7 @@ class Kinematics:
         points = _points(targets)
         if method not in METHODS:
             raise SoftmapError(f"no method '{method}'; there are {', '.join(METHODS)}")
-        first = None if start is None else np.asarray(start, float).tolist()
+        first = None if start is None else unmasked(start).tolist()
         return Solved(*self.reach.path(points, first, method == "paper"))
 
     def plan(
@@ -208,7 +208,7 @@ class Kinematics:
         Raises:
             SoftmapError: as `solve`, or times that do not increase.
         """
-        points, t = _points(targets), np.asarray(t, float)
+        points, t = _points(targets), unmasked(t)
         if t.shape != (len(points),) or not np.isfinite(t).all() or (np.diff(t) <= 0).any():
             raise SoftmapError(
                 f"times of shape {t.shape} for {len(points)} targets; give each one, and let them "
@@ -219,7 +219,7 @@ class Kinematics:
             acting, unreachable = solved.acting, solved.distance
         else:
             unreachable = self._apart(np.asarray(self.tip.evaluate(acting)), points)
-        rested = self.home if start is None else np.asarray(start, float)
+        rested = self.home if start is None else unmasked(start)
         self._chain.settle(rested)
         commands, _ = self._chain.path(early(acting, t, *self.delays), t)
         expected = np.asarray(self.tip.evaluate(self.effective_commands(commands, t, rested)))

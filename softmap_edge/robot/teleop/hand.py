@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge.errors import TeleopError
+from softmap_edge.run.fields import unmasked
 
 Floats = NDArray[np.float64]
 Side = Literal["left", "right"]
@@ -49,7 +50,7 @@ class Hand:
     score: float = 1.0
 
     def __post_init__(self) -> None:
-        points = np.asarray(self.points, dtype=np.float64)
+        points = unmasked(self.points)
         if points.shape != (LANDMARKS, 2):
             raise TeleopError(
                 f"hand: points of shape {points.shape}, expected {(LANDMARKS, 2)} in px"
@@ -69,7 +70,7 @@ class Hand:
 
 def in_pixels(normalised: ArrayLike, width: int, height: int) -> Floats:
     """Convert landmarks (21, 2 or 3), as shares of `width` and `height` px, to (21, 2) px."""
-    return np.asarray(normalised, dtype=np.float64)[:, :2] * (width, height)
+    return unmasked(normalised)[:, :2] * (width, height)
 
 
 def projection(hand: Hand, finger: tuple[int, int] = (INDEX_KNUCKLE, INDEX_TIP)) -> Floats | None:
