@@ -2,7 +2,8 @@
 
     python tests/support/plain_words.py        prints scope, file, line and word of each
 
-Scopes: messages and help (strings that a person reads), docstrings, public names, comments, pages.
+Scopes: messages and help (strings that a person reads), docstrings, public names, comments, pages,
+labels of pictures.
 Names in code are no prose: text in backticks, and parameters and attributes that a docstring
 explains.
 """
@@ -149,6 +150,15 @@ def in_page(file: Path) -> Iterator[Finding]:
     yield from in_text("pages", str(file.relative_to(ROOT)), 1, text.replace("`", "_"))
 
 
+def in_picture(file: Path) -> Iterator[Finding]:
+    """Yield the words in the labels of a picture; matplotlib keeps each as a comment."""
+    source = file.read_text("utf-8")
+    for found in re.finditer(r"<!--(.*?)-->|<text[^>]*>(.*?)</text>", source, re.DOTALL):
+        line = source[: found.start()].count("\n") + 1
+        label = re.sub(r"<[^>]*>", " ", found[1] or found[2])
+        yield from in_text("pictures", str(file.relative_to(ROOT)), line, label)
+
+
 @functools.cache
 def findings() -> list[Finding]:
     """Return all findings of the repository."""
@@ -167,9 +177,11 @@ def findings() -> list[Finding]:
     tests = [file for file in (ROOT / "tests").rglob("*.py") if file.name not in QUOTING]
     rust = [file for file in (ROOT / "rust").rglob("*.rs") if "target" not in file.parts]
     pages = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]
+    pictures = list((ROOT / "docs/pictures").rglob("*.svg"))
+    searched = [(in_code, code), (in_test, tests), (in_rust, rust), (in_page, pages)]
     return [
         one
-        for find, files in ((in_code, code), (in_test, tests), (in_rust, rust), (in_page, pages))
+        for find, files in [*searched, (in_picture, pictures)]
         for file in sorted(files)
         for one in find(file)
         if not any(one.file.startswith(place) and one.word in KEPT[place] for place in KEPT)
