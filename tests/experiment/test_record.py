@@ -86,6 +86,7 @@ def page(tmp_path_factory):
     return there, {name: "\n".join(parts) for name, parts in printed.items()}
 
 
+@pytest.mark.long
 def test_what_the_page_quotes_is_what_is_printed(page):
     """Numbers may differ by 3 %, all else is as it stands."""
     _, printed = page
@@ -112,6 +113,7 @@ def worded(line):
     return re.sub(r"[\d.]+", "#", " ".join(line.split()))
 
 
+@pytest.mark.long
 def test_the_doubt_of_the_page_is_settled(page):
     there, printed = page
     reported = printed[
@@ -127,6 +129,7 @@ def test_the_doubt_of_the_page_is_settled(page):
     assert re.findall(r"`([^`]+)`", named) == list(MOVES)
 
 
+@pytest.mark.long
 def test_the_aligned_runs_are_in_the_frame_of_the_base(page):
     there, _ = page
     for name in ("run.npz", "run2.npz", "other.npz"):
@@ -135,6 +138,7 @@ def test_the_aligned_runs_are_in_the_frame_of_the_base(page):
         assert run.markers.shape[1] == len(SIDES)
 
 
+@pytest.mark.long
 def test_the_command_file_of_the_page_is_the_protocol(page):
     there, _ = page
     made, robot = read_commands(there / "commands.csv")
