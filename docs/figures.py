@@ -32,8 +32,6 @@ from softmap_edge.report.figures import (
     STYLE,
     WIDE,
     body,
-    ladder_bars,
-    over_time,
     svg,
 )
 from softmap_edge.run.protocol import Protocol, other_protocol, standard_protocol
@@ -116,9 +114,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     found = diagnose(model, truth.measure(standard_protocol(model.channels)))
     seen = series(truth.measure(other_protocol(model.channels), seed=1), model, found.model)
     args.out.mkdir(parents=True, exist_ok=True)
-    (args.out / "error_over_time.svg").write_bytes(over_time(seen))
     (args.out / "error_on_the_body.png").write_bytes(body(seen))
-    (args.out / "error_ladder.svg").write_bytes(ladder_bars(found.to_dict()["error"]))
     (args.out / "protocol.svg").write_bytes(plan(standard_protocol(model.channels)))
     if (folder := find("moe_finger")) is None:
         print("mesh.svg is not drawn again: the mesh is absent (make data brings it)")

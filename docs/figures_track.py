@@ -1,10 +1,10 @@
 """Make the picture of docs/do/track.md.
 
-An S on an emulated finger that hides backlash and creep, and through them.
+Track an S on an emulated finger with hidden backlash and creep, without and with compensation.
 
 `python docs/figures_track.py` writes track_s.svg into `docs/pictures/`; `--out` names another
-folder. It runs in real time, a minute, on emulated servos: a busy computer may end it. The numbers
-are those of tests/robot/test_track.py's promise.
+folder. It runs in real time, a minute, on emulated servos: a busy computer may end it. tests/robot/test_track.py
+checks the numbers.
 """
 
 from __future__ import annotations
@@ -82,23 +82,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     model = builtin_model()
     laws = hidden_laws(HIDDEN, model.channels, SEED, SIZE)
     shown = [
-        ("effects unknown", BEFORE, model),
-        ("through what was found", AFTER, found(model, laws)),
+        ("effects not compensated", BEFORE, model),
+        ("effects compensated", AFTER, found(model, laws)),
     ]
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDE, 4.0), layout="constrained")
         left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.4))
         for number, (name, colour, one) in enumerate(shown):
-            made, told = tracked(one, laws)
-            wanted = made.plan.targets[made.counts]
+            made, seen = tracked(one, laws)
+            target = made.plan.targets[made.counts]
             if number == 0:
-                left.plot(wanted[:, 0], wanted[:, 1], color=INK, linewidth=2.4, label="wanted")
-            left.plot(told.tip[:, 0], told.tip[:, 1], color=colour, linewidth=1.2, label=name)
-            said = f"{name}: {told.error.mean():.2f} ± {told.error.std():.2f} mm"
-            right.plot(told.t, told.error, color=colour, linewidth=1.2, label=said)
-            print(said)
+                left.plot(target[:, 0], target[:, 1], color=INK, linewidth=2.4, label="target")
+            left.plot(seen.tip[:, 0], seen.tip[:, 1], color=colour, linewidth=1.2, label=name)
+            label = f"{name}: {seen.error.mean():.2f} ± {seen.error.std():.2f} mm"
+            right.plot(seen.t, seen.error, color=colour, linewidth=1.2, label=label)
+            print(label)
         left.set(xlabel="x, mm", ylabel="y, mm", aspect="equal")
-        right.set(xlabel="time, s", ylabel="tip seen off by, mm")
+        right.set(xlabel="time, s", ylabel="tip error, mm")
         right.set_ylim(bottom=0.0)
         for axes in (left, right):
             axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=1, frameon=False)

@@ -1,10 +1,11 @@
-"""One BLAS thread, as the command sets it: small factorisations are ten times slower with more."""
+"""One thread for BLAS, as the command sets it, and for torch: small work is slower with more."""
 
 import os
 
 import pytest
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+for threads in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+    os.environ.setdefault(threads, "1")
 
 # One worker a file: the long ones begin first, so that none is left to one worker at the end; those
 # that compute and those that wait for a robot (track, record, servo, move, teleop, faults) take

@@ -419,6 +419,7 @@ def _clock(model: Model, run: Run, seen: Floats, visible: Mask, t: Floats) -> tu
     played = np.asarray(model.predict(replace(run, extra={}, **blank)))
     motion = centred(seen, visible)
     ones = np.argsort(-np.sum(motion**2, axis=(0, 2)))[:3]  # the points that move most
+    played, seen, visible = played[:, ones], seen[:, ones], visible[:, ones]
     found = [(0.0, -np.inf)]
     for late in np.linspace(-1.0, 1.0, 2 * TIMES + 1) * (grid[-1] - grid[0]):
         inside = (t - late >= grid[0]) & (t - late <= grid[-1])
@@ -427,8 +428,8 @@ def _clock(model: Model, run: Run, seen: Floats, visible: Mask, t: Floats) -> tu
         at = np.clip(
             np.rint((t[inside] - late - grid[0]) / (grid[1] - grid[0])).astype(int), 0, TIMES - 1
         )
-        s, v = seen[inside][:, ones], visible[inside][:, ones]
-        share = followed_share(s - played[at][:, ones], s, v)
+        s, v = seen[inside], visible[inside]
+        share = followed_share(s - played[at], s, v)
         found.append((float(late), share))
     most = max(share for _, share in found)
     rounds: list[list[tuple[float, float]]] = [[]]

@@ -90,19 +90,22 @@ def trial(
     truth: Truth,
     say: Callable[[str], None] = lambda text: None,
     judge: Protocol | None = None,
+    protocol: Protocol | None = None,
 ) -> Trial:
-    """Measure `truth` by the standard protocol, diagnose, and validate on a run of another kind.
+    """Measure `truth`, diagnose, and validate on a run of another kind.
 
     Args:
         model: model of the first finger
         truth: the second finger
         say: receives lines on progress
         judge: the validation run (`other_protocol`); the diagnosis never receives it
+        protocol: the run that is diagnosed (`standard_protocol`)
 
     Returns:
         The runs, and the findings.
     """
-    protocol, judge = standard_protocol(model.channels), judge or other_protocol(model.channels)
+    protocol = protocol or standard_protocol(model.channels)
+    judge = judge or other_protocol(model.channels)
     say(
         f"Measuring the second finger: {protocol.frames} frames in {protocol.t[-1] / 60:.0f} "
         "minutes of finger time …"

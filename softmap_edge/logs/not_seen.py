@@ -124,14 +124,15 @@ def not_seen(points: Array, commands: Array | None = None) -> Lost:
     shown = np.array(points, float)
     u = _normalised(commands, len(shown))
     found: list[Constant] = []
-    for m in range(shown.shape[1]):
-        for frames in _constants(shown[:, m], u, shown.shape[1] > MANY):
+    many = shown.shape[1] > MANY
+    for m in _ever_marked(shown) if many else range(shown.shape[1]):
+        for frames in _constants(shown[:, m], u, many):
             found.append(Constant(m, tuple(float(x) for x in shown[frames[0], m]), frames))
             shown[frames, m] = np.nan
-    coordinates = lost_coordinates(shown, u) if shown.shape[1] <= MANY else []
+    coordinates = [] if many else lost_coordinates(shown, u)
     for coordinate in coordinates:
         shown[coordinate.frames, coordinate.marker] = np.nan
-    held = held_places(shown, u) if shown.shape[1] <= MANY else []
+    held = [] if many else held_places(shown, u)
     for one in held:
         shown[one.frames, one.marker] = np.nan
     lost = np.isfinite(points).all(axis=2) & ~np.isfinite(shown).all(axis=2)
@@ -162,6 +163,14 @@ def _normalised(commands: Array | None, frames: int) -> Array | None:
     span = np.ptp(commands, axis=0)
     alive = np.isfinite(span) & (span > 0)
     return np.asarray(commands[:, alive] / span[alive]) if alive.any() else None
+
+
+def _ever_marked(points: Array) -> list[int]:
+    """Return which points (K, M, D) are ever at a position of three equal numbers."""
+    if points.shape[2] < 2:
+        return []
+    equal = (points == points[..., :1]).all(axis=2)
+    return [int(m) for m in np.flatnonzero(equal.any(axis=0))]
 
 
 # --- one marker ----------------------------------------------------------------------------

@@ -34,6 +34,7 @@ import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -270,8 +271,9 @@ def load_bundle(
         ) from None
 
 
+@cache
 def builtin_model() -> Model:
-    """Return the model of the built-in finger, which ships with the package."""
+    """Return the model of the built-in finger, which ships with the package; it is read once."""
     return load_bundle(Path(__file__).parents[1] / "data" / "finger")
 
 

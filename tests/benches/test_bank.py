@@ -422,6 +422,7 @@ def test_the_model_of_the_rod_knows_what_large_loads_do():
     assert off[0] < 0.08 < 0.12 < off[1], off
 
 
+@pytest.mark.long
 def test_the_model_of_the_rod_knows_what_a_softer_section_does_when_it_leans():
     u, model, t = (
         np.random.default_rng(0).uniform(-9.0, 9.0, (12, 2)),
@@ -457,6 +458,7 @@ def test_the_model_of_the_rod_knows_what_a_softer_section_does_when_it_leans():
     assert off[0] < 0.2 < 0.4 < off[1], off
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("params", "field", "amount"),
     [

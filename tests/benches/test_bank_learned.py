@@ -72,7 +72,10 @@ def test_a_learned_robot_is_scored_from_its_own_recordings(tmp_path):
     assert 0.0 < row["error_mm"]["noise"] < row["error_mm"]["learned"] < 5.0 and row["chain"] == []
 
 
-@pytest.mark.parametrize("number", [12, 15, 19])
+MORE = (pytest.param(number, marks=pytest.mark.long) for number in (15, 19))
+
+
+@pytest.mark.parametrize("number", [12, *MORE])
 def test_what_a_map_cannot_follow_is_no_new_static_effect(tmp_path, number):
     """The cables of these fingers fall slack: a polynomial is off by 1.3 to 1.6 mm, on every run as
     much.

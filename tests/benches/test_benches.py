@@ -53,6 +53,7 @@ def test_the_numpy_rod_bends_the_same_way():
         assert np.abs(ours - theirs).max() < 1e-6 and np.ptp(ours, axis=0).max() > 50
 
 
+@pytest.mark.long
 def test_the_quick_rows_of_geometry_are_there_and_keep_what_does_not_hang_on_the_machine():
     found = {(row["name"], row.get("peer_name")): row for row in geometry.rows(quick=True)}
     assert len(found) == 5 and all(

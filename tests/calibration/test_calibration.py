@@ -153,16 +153,17 @@ def test_a_turn_about_the_axis_is_reported_next_to_the_map_and_does_not_bend_it(
     assert [one.kind for one in straight.departures] == ["memory"]
 
 
-def test_a_turn_of_two_degrees_is_reported_and_none_where_there_is_none():
-    for seed in range(100, 104):
-        run = record(scattered(seed), seed)
-        turned = replace(
-            run, vertices=run.vertices @ rotation(np.array([0.0, 0.0, np.radians(2.0)])).T
-        )
-        assert not calibrate(MODEL, run, home=HOME).departures
-        found = calibrate(MODEL, turned, home=HOME)
-        assert [one.kind for one in found.departures] == ["turn"]
-        assert np.abs((found.calibration.A - A) / found.calibration.sigma_A).max() < 4.0
+LATER = (pytest.param(seed, marks=pytest.mark.long) for seed in range(101, 104))
+
+
+@pytest.mark.parametrize("seed", [100, *LATER])
+def test_a_turn_of_two_degrees_is_reported_and_none_where_there_is_none(seed):
+    run = record(scattered(seed), seed)
+    turned = replace(run, vertices=run.vertices @ rotation(np.array([0.0, 0.0, np.radians(2.0)])).T)
+    assert not calibrate(MODEL, run, home=HOME).departures
+    found = calibrate(MODEL, turned, home=HOME)
+    assert [one.kind for one in found.departures] == ["turn"]
+    assert np.abs((found.calibration.A - A) / found.calibration.sigma_A).max() < 4.0
 
 
 def test_what_no_form_explains_is_reported_as_well():

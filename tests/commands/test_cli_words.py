@@ -214,7 +214,8 @@ def test_a_reader_that_leaves_early_costs_no_file(argv, file, both, folder):
     os.close(read)
     errors = write if both else subprocess.PIPE
     argv = [*argv, "--force"] if argv[0] in ("learn", "run") else argv
-    code = "import sys; from softmap_edge.cli import main; sys.exit(main(sys.argv[1:]))"
+    code = "import sys; sys.modules['matplotlib'] = None  # pictures take a second\n"
+    code += "from softmap_edge.cli import main; sys.exit(main(sys.argv[1:]))"
     done = subprocess.run(
         [sys.executable, "-u", "-c", code, *argv],
         cwd=folder,

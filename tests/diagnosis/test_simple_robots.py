@@ -378,7 +378,10 @@ def test_gains_that_differ_a_little_from_day_to_day_are_no_creep(learned, gains)
     assert found.verdict == "nothing" and not found.families and found.unexplained.ordinary_mm > 0.1
 
 
-@pytest.mark.parametrize(("gain", "gap"), [(0.9, 0.05), (0.9, 0.2), (0.85, 0.1)])
+MORE = (pytest.param(0.9, gap, marks=pytest.mark.long) for gap in (0.05, 0.2))
+
+
+@pytest.mark.parametrize(("gain", "gap"), [(0.85, 0.1), *MORE])
 def test_gain_and_play_are_neither_friction_nor_hysteresis(learned, gain, gap):
     """One law alone does most of what both do, and leaves three to six times the floor."""
     found = diagnose(learned, arm_run(31, lambda u: gain * both(gap, gap)(u)))

@@ -301,6 +301,7 @@ def test_an_event_that_one_block_alone_shows_is_not_taken():
     )
 
 
+@pytest.mark.long
 def test_four_effects_are_named_together():
     """Family by family, the memory takes the share of all others and none of the laws reaches
     it.

@@ -53,7 +53,7 @@ LEANING = (np.sin(np.radians(35.0)), 0.0, np.cos(np.radians(35.0)))
         ((1.0, 0.0, 0.0), 0.0, 0.03),
         pytest.param((0.0, 0.0, 1.0), 25.0, 0.06, marks=pytest.mark.prove),
         pytest.param(LEANING, 25.0, 0.03, marks=pytest.mark.prove),
-        (LEANING, 60.0, 0.05),
+        pytest.param(LEANING, 60.0, 0.05, marks=pytest.mark.long),  # see test_second_level.py
     ],
 )
 def test_loads_move_the_built_in_finger_as_the_simulator_says(finger, gravity, grams, limit):

@@ -18,7 +18,7 @@ from softmap_edge.model.model import Model
 from softmap_edge.model.shapes import BundleArrays, FieldArrays, Grid, ModeArrays, PriorArrays
 from softmap_edge.run.run import Run
 
-COMMANDS = np.vstack([np.zeros((1, 2)), np.random.default_rng(3).uniform(-14.0, 14.0, (10, 2))])
+COMMANDS = np.vstack([np.zeros((1, 2)), np.random.default_rng(3).uniform(-14.0, 14.0, (5, 2))])
 MIDDLES = np.linspace(0.0, 1.0, 7)
 
 

@@ -361,16 +361,16 @@ FORMATS = [
     Format("Gmsh mesh", mesh_sample("bar.msh", file_format="gmsh22"), spoil_text_file, use_mesh),
     Format("guides", guides_sample, spoil_text_file, use_guides),
     Format("robot", robot_sample, spoil_text_file, use_robot),
-    Format("rig", rig_sample, spoil_text_file, use_rig, 120),
+    Format("rig", rig_sample, spoil_text_file, use_rig),
     Format("sweep", sweep_sample, spoil_npz_file, use_sweep),
     Format("diagnosis", diagnosis_sample, spoil_text_file, use_diagnosis),
     Format("commands", commands_sample, spoil_text_file, use_commands),
-    Format("sweep made elsewhere", shapes_sample, spoil_npz_file, use_shapes, 200),
-    Format("scattered bundle", scattered_bundle_sample, spoil_bundle, use_bundle, 120),
-    Format("bundle with a residual", residual_sample, spoil_bundle, use_bundle, 120),
-    Format("bundle", bundle_sample, spoil_bundle, use_bundle, 120),
-    Format("elastic bundle", elastic_sample, spoil_bundle, use_bundle, 120),
-    Format("bundle with a user's effect", own_effect_sample, spoil_bundle, use_own_effect, 120),
+    Format("sweep made elsewhere", shapes_sample, spoil_npz_file, use_shapes),
+    Format("scattered bundle", scattered_bundle_sample, spoil_bundle, use_bundle),
+    Format("bundle with a residual", residual_sample, spoil_bundle, use_bundle),
+    Format("bundle", bundle_sample, spoil_bundle, use_bundle),
+    Format("elastic bundle", elastic_sample, spoil_bundle, use_bundle),
+    Format("bundle with a user's effect", own_effect_sample, spoil_bundle, use_own_effect),
 ]
 
 
@@ -386,6 +386,12 @@ DYING = Format("dying", lambda folder: folder, lambda _, folder, __: folder / "s
 @pytest.mark.parametrize("form", FORMATS, ids=lambda form: form.name)
 def test_damaged_files(form, tmp_path):
     assert_some(__file__, form, tmp_path)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("form", FORMATS, ids=lambda form: form.name)
+def test_500_damaged_files(form, tmp_path):
+    assert_some(__file__, form, tmp_path, 500)
 
 
 @pytest.mark.prove

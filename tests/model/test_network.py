@@ -154,7 +154,7 @@ def test_slopes_are_those_of_torch_where_inputs_are_passed_over():
     u, x = shapes(2)
     network = drawn(MADE["published"](u, x), u, x)
     core = _core.Network(to_onnx(network, 2))
-    for row in u[:6]:
+    for row in u[:2]:
         wanted = torch.autograd.functional.jacobian(
             lambda v: network(v[None])[0], torch.as_tensor(row, dtype=torch.float32)
         ).numpy()

@@ -98,7 +98,11 @@ SECTIONS = {
 }
 
 
-@pytest.mark.parametrize("name", SECTIONS)
+FIRST = ("half as stiff, leaning", "twice as stiff, leaning", "a kink, leaning")
+EACH = [name if name in FIRST else pytest.param(name, marks=pytest.mark.long) for name in SECTIONS]
+
+
+@pytest.mark.parametrize("name", EACH)
 def test_a_softer_or_stiffer_section_moves_the_finger_as_the_simulator_says(name, simulator):
     gravity, grams, effect, amount, centre, allowed, linear = SECTIONS[name]
     if effect == "kink":  # gives way at once, and as much at all commands but for 1e-5 of it

@@ -2,6 +2,8 @@
 are not jitter.
 """
 
+from itertools import product
+
 import numpy as np
 import pytest
 from bending import at, record, shaken, shape, tour, visits, wander
@@ -122,8 +124,14 @@ def test_memory_of_the_drive_is_no_jitter(acting, markers):
         assert rms == pytest.approx(np.sqrt(3) * WHITE, rel=0.1)
 
 
-@pytest.mark.parametrize("markers", FEW)
-@pytest.mark.parametrize("acting", [None, wide_play, creep])
+FIRST = ((None, "three"), (wide_play, "four"), (creep, "eight"))
+EACH = [
+    pair if pair in FIRST else pytest.param(*pair, marks=pytest.mark.long)
+    for pair in product((None, wide_play, creep), FEW)
+]
+
+
+@pytest.mark.parametrize(("acting", "markers"), EACH)
 def test_jitter_is_found_next_to_memory_of_the_drive(acting, markers):
     found_mm, true_mm = [], []
     for seed in range(6):

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import jsonschema
 import pytest
+from finger_runs import finger_run
 from page import ROOT, blocks
 
 from softmap_edge import _core, builtin_model, cli, compare, diagnose, save_bundle
@@ -19,8 +20,6 @@ from softmap_edge.cli import main
 from softmap_edge.commands import RENAMED
 from softmap_edge.robot.servo.rig import read_rig
 from softmap_edge.robot.servo.rig_ceiling import RANGES
-from softmap_edge.run.protocol import standard_protocol
-from softmap_edge.synthetic.finger import hide
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 REFERENCE = ROOT / "docs/reference"
@@ -229,7 +228,7 @@ def documents(tmp_path_factory):
     """Documents of a real diagnosis and its neighbours by the name of their schema."""
     folder = tmp_path_factory.mktemp("documents")
     model = builtin_model()
-    run = hide(["backlash"], 4).measure(standard_protocol(model.channels))
+    run = finger_run(["backlash"], {"backlash.gap": 2.0})
     run.save(folder / "run.npz")
     found = diagnose(model, run)
     (folder / "d.json").write_text(json.dumps(found.to_dict()), encoding="utf-8")

@@ -26,6 +26,12 @@ from softmap_edge.report.html import write_html
 pair = pytest.fixture(scope="module")(compared)
 
 
+@pytest.fixture
+def without_pictures(monkeypatch):
+    """Leave out the pictures, which take a second a page, where the words alone are tested."""
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+
+
 def test_page_holds_pictures_and_loads_nothing(pair, tmp_path):
     run, worse, better, before, after = pair
     text = page(
@@ -39,6 +45,7 @@ def test_page_holds_pictures_and_loads_nothing(pair, tmp_path):
     assert str(tmp_path) not in text
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_the_page_says_once_where_its_error_was_measured_and_shows_no_empty_column(pair, tmp_path):
     run, worse, _, before, _ = pair
     text = page(
@@ -54,6 +61,7 @@ def test_the_page_says_once_where_its_error_was_measured_and_shows_no_empty_colu
     assert "1.82 / 1.50" in text
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_a_diagnosis_has_one_error_before_and_after_at_the_top_and_one_floor(pair, tmp_path):
     """The error of all points is another number; its part says of which data, and why."""
     run, worse, better, before, after = pair
@@ -77,6 +85,7 @@ def test_a_diagnosis_has_one_error_before_and_after_at_the_top_and_one_floor(pai
         assert "Noise floor" not in text and "is another limit" not in part
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_a_floor_that_is_known_stands_for_the_noise(pair, tmp_path):
     run, worse, better, before, after = pair
     floor = 0.5 * after.error["rms_mm"]
@@ -152,6 +161,7 @@ def test_same_input_gives_the_same_page(pair, tmp_path):
     assert first.read_bytes() == second.read_bytes()
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_a_fitted_run_is_called_fitted(pair, tmp_path):
     run, worse, _, before, _ = pair
     assert "fitted: this run took part" in page(

@@ -62,6 +62,7 @@ def test_the_clip_shows_a_hand(clip):
     assert processor < 1000 / 30  # one core keeps up with the camera, whatever else runs
 
 
+@pytest.mark.long
 def test_what_the_finger_does_comes_out(clip):
     """Straight and curled are both in the clip; steps are as large as the limits of the servos must
     stand.
@@ -74,6 +75,7 @@ def test_what_the_finger_does_comes_out(clip):
     assert (straight < CLOSED).sum() > 10 and (straight > OPEN).sum() > 300
 
 
+@pytest.mark.long
 def test_the_filter_calms_the_clip_without_lag(clip):
     hands, times, _ = clip
     seen = np.array([View().projection(hand) for hand in hands])

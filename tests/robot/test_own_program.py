@@ -18,6 +18,7 @@ from softmap_edge.robot.link.points import PointReceiver
 PAGE = (Path(__file__).parents[2] / "docs/do/own_program.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.long
 def test_the_programs_of_the_page_run_one_after_another(tmp_path, monkeypatch, capsys):
     (command,) = re.findall(r"```text\n(.*?)\n```", PAGE, re.S)
     hides, stream = command.split()[3:5], command.split()[9:]

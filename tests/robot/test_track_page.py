@@ -26,6 +26,9 @@ PAGE = (Path(__file__).parents[2] / "docs/do/track.md").read_text(encoding="utf-
 PATH = "{http://www.w3.org/2000/svg}path"
 
 
+long = pytest.mark.long  # the commands of the page take half a minute
+
+
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
     """The folder in which the page's commands ran, and what each printed."""
@@ -56,6 +59,7 @@ def curves(file):
     ]
 
 
+@long
 def test_the_lines_after_each_block_are_those_that_its_commands_print(page):
     _, printed = page
     commanded, quotes = [], 0
@@ -69,6 +73,7 @@ def test_the_lines_after_each_block_are_those_that_its_commands_print(page):
     assert quotes == 5
 
 
+@long
 def test_each_command_says_and_writes_what_the_page_says(page):
     there, printed = page
     reach, point, plan, sim, off, alone, _, _, found, *_ = printed.values()

@@ -83,7 +83,7 @@ class Format:
     sample: Callable[[Path], Path]
     spoil: Callable[[Path, Path, np.random.Generator], Path]
     use: Callable[[Path], object]
-    some: int = 500  # that are spoiled where time is short; 10 000 are in any case by `make prove`
+    some: int = 100  # spoiled by `make test`; `make test-long` spoils 500, `make prove` 10 000
     felt: float = 0.2  # the share that is refused at least: numbers of a log may be anything
 
 
@@ -322,7 +322,7 @@ def spoil_many(script, form, first, count, folder):
 
 
 def assert_some(script, form, folder, count=None):
-    """Every one of some hundred damaged files is refused by an error of ours or used to the end."""
+    """Every one of `count` damaged files is refused by an error of ours or used to the end."""
     count = count or form.some
     result = spoil_many(script, form, 0, count, folder)
     assert result["refused"] + result["accepted"] == count

@@ -7,7 +7,6 @@ import numpy as np
 
 from softmap_edge import builtin_model
 from softmap_edge.cli import main
-from softmap_edge.files.npz import write_npz
 from softmap_edge.run.protocol import standard_protocol
 from softmap_edge.run.run import Run
 
@@ -42,8 +41,9 @@ def scaled(name, factor):
 
 
 def written(tmp_path, change, play):
+    """Write a changed run as `numpy.savez` does, which takes a hundredth of the time of packing."""
     path = tmp_path / "run.npz"
-    write_npz(path, {name: np.asarray(value) for name, value in change(recorded(play)).items()})
+    np.savez(path, **{name: np.asarray(value) for name, value in change(recorded(play)).items()})
     return path
 
 

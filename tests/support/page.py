@@ -48,19 +48,22 @@ def run_commands(page, there):
 OMITTED = "…"  # a line of its own in a quote: lines of the output are left out here
 
 
-def misquoted(quote, printed):
+def misquoted(quote, printed, reading=str.rstrip):
     """Return the first line of a quote that the output does not have there; None if all are right.
 
-    A line follows the one before it in the output, unless the mark OMITTED is between them.
+    A line follows the one before it in the output, unless the mark OMITTED is between them. Lines
+    are equal if their `reading` is: it may leave out what differs between computers.
     """
-    made = [line.rstrip() for line in printed.splitlines()]
+    made = [reading(line) for line in printed.splitlines()]
     starts = [-1]  # places in the output after which the next line may stand
     for line in map(str.rstrip, quote.splitlines()):
         if line.strip() == OMITTED:
             starts = list(range(min(starts, default=0), len(made))) if starts else []
             continue
         first = starts == [-1]
-        follow = {k for k in range(len(made)) if made[k] == line and (first or k - 1 in starts)}
+        follow = {
+            k for k in range(len(made)) if made[k] == reading(line) and (first or k - 1 in starts)
+        }
         if not follow:
             return line
         starts = sorted(follow)

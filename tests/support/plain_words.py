@@ -2,7 +2,8 @@
 
     python tests/support/plain_words.py        prints scope, file, line and word of each
 
-Scopes: messages and help (strings that a person reads), docstrings, public names, comments, pages.
+Scopes: messages and help (strings that a person reads), docstrings, public names, comments, pages,
+labels of pictures.
 Names in code are no prose: text in backticks, and parameters and attributes that a docstring
 explains.
 """
@@ -12,7 +13,7 @@ import functools
 import io
 import re
 import tokenize
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -84,15 +85,15 @@ def in_text(scope: str, name: str, line: int, text: str) -> Iterator[Finding]:
 def in_code(file: Path) -> Iterator[Finding]:
     """Yield the words in messages, docstrings, public names and comments of a Python file."""
     source, name = file.read_text(encoding="utf-8"), str(file.relative_to(ROOT))
-    tree = ast.parse(source)
+    nodes = list(ast.walk(ast.parse(source)))
     documented = (ast.Module, ast.ClassDef, ast.FunctionDef)
     docs = {
         id(node.body[0].value)
-        for node in ast.walk(tree)
+        for node in nodes
         if isinstance(node, documented) and ast.get_docstring(node)
     }
-    explained = re.compile(rf"\b(?:{'|'.join(sorted(_given(tree)))})(?=:)")
-    for node in ast.walk(tree):
+    explained = re.compile(rf"\b(?:{'|'.join(sorted(_given(nodes)))})(?=:)")
+    for node in nodes:
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             if id(node) in docs:
                 text = explained.sub(lambda found: "_" * len(found[0]), node.value)
@@ -108,10 +109,10 @@ def in_code(file: Path) -> Iterator[Finding]:
             yield from in_text("comments", name, token.start[0], token.string)
 
 
-def _given(tree: ast.AST) -> set[str]:
+def _given(nodes: Iterable[ast.AST]) -> set[str]:
     """Return the names of parameters and attributes of a file."""
     found = {"-"}
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.arg):
             found.add(node.arg)
         elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
@@ -121,11 +122,8 @@ def _given(tree: ast.AST) -> set[str]:
 
 def in_test(file: Path) -> Iterator[Finding]:
     """Yield the words in docstrings, comments and names of tests; their strings quote others."""
-    helpers = {
-        node.lineno
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
-        if isinstance(node, ast.FunctionDef) and not node.name.startswith("test_")
-    }
+    source = file.read_text(encoding="utf-8").splitlines()
+    helpers = {k for k, line in enumerate(source, 1) if re.match(r"\s*def (?!test_)", line)}
     for one in in_code(file):
         if one.scope != "messages" and not (one.scope == "names" and one.line in helpers):
             yield one
@@ -149,6 +147,15 @@ def in_page(file: Path) -> Iterator[Finding]:
     yield from in_text("pages", str(file.relative_to(ROOT)), 1, text.replace("`", "_"))
 
 
+def in_picture(file: Path) -> Iterator[Finding]:
+    """Yield the words in the labels of a picture; matplotlib keeps each as a comment."""
+    source = file.read_text("utf-8")
+    for found in re.finditer(r"<!--(.*?)-->|<text[^>]*>(.*?)</text>", source, re.DOTALL):
+        line = source[: found.start()].count("\n") + 1
+        label = re.sub(r"<[^>]*>", " ", found[1] or found[2])
+        yield from in_text("pictures", str(file.relative_to(ROOT)), line, label)
+
+
 @functools.cache
 def findings() -> list[Finding]:
     """Return all findings of the repository."""
@@ -167,9 +174,11 @@ def findings() -> list[Finding]:
     tests = [file for file in (ROOT / "tests").rglob("*.py") if file.name not in QUOTING]
     rust = [file for file in (ROOT / "rust").rglob("*.rs") if "target" not in file.parts]
     pages = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]
+    pictures = list((ROOT / "docs/pictures").rglob("*.svg"))
+    searched = [(in_code, code), (in_test, tests), (in_rust, rust), (in_page, pages)]
     return [
         one
-        for find, files in ((in_code, code), (in_test, tests), (in_rust, rust), (in_page, pages))
+        for find, files in [*searched, (in_picture, pictures)]
         for file in sorted(files)
         for one in find(file)
         if not any(one.file.startswith(place) and one.word in KEPT[place] for place in KEPT)

@@ -44,6 +44,7 @@ class Named:
         return f"{self.file}:{self.line}: softmap {' '.join(self.words)}"
 
 
+@cache
 def commands() -> list[Named]:
     """Return every command that a text of the packages names."""
     found = []

@@ -252,6 +252,7 @@ def test_one_channel_is_diagnosed_without_what_lies_between_channels():
     assert "coupling" in {row.name for row in found.not_testable}
 
 
+@pytest.mark.long
 def test_a_sweep_of_this_simulator_builds_exactly_as_its_finger(tmp_path):
     finger = Finger.builtin().replace(core=2, layers=12, command_range=((-4.0, 4.0), (-4.0, 4.0)))
     Simulator(finger).sweep(grid_axes(finger, 5)).save(tmp_path / "sweep.npz")

@@ -2,20 +2,60 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from softmap_edge import builtin_model
 from softmap_edge.cli import main
+from softmap_edge.commands import demo
 from softmap_edge.commands.progress import QUIET, Ticker
+from softmap_edge.fem.finger import Finger
 from softmap_edge.robot.emulated.laws import LAWS
 from softmap_edge.robot.emulated.named_laws import NAMED
 from softmap_edge.run.protocol import standard_protocol
 from softmap_edge.run.run import Run
-from softmap_edge.synthetic.finger import WATCH, hide, surprise
+from softmap_edge.synthetic.finger import WATCH, HiddenEffect, Truth, hide, surprise
 
 
-def test_demo_prints_the_story_and_reveals_at_the_end(tmp_path, capsys):
+class Quick(Truth):
+    """A second finger with the body of the model: nothing is solved for it."""
+
+    def shapes(self, protocol, every=1):
+        def body(finger, modulus, gravity, force, u):
+            t = np.arange(float(len(u)))
+            return builtin_model().predict(Run(t=t, command=u, t_seen=t, gravity=np.array(gravity)))
+
+        return self.shapes_by(body, protocol, every)
+
+    def twin(self):
+        return replace(self, hidden=())
+
+
+@pytest.fixture(scope="module")
+def measured():
+    """Run the demo's trial on a quick finger; give it with the lines that it prints."""
+    play = LAWS["backlash"].draw(np.random.default_rng(4), 2)
+    truth, lines = Quick(4, (HiddenEffect(play, 2.0),)), []
+    return demo.trial(builtin_model(), truth, lines.append), lines
+
+
+@pytest.fixture
+def short(measured, monkeypatch):
+    """Let the command show this trial; test_readme.py runs the complete one for its page."""
+    story, lines = measured
+
+    def shown(model, truth, say):
+        for line in lines:
+            say(line)
+        return story
+
+    monkeypatch.setattr(demo, "hide", lambda names, seed: {("backlash", 4): None}[*names, seed])
+    monkeypatch.setattr(demo, "trial", shown)
+
+
+def test_demo_prints_the_story_and_reveals_at_the_end(short, tmp_path, capsys):
     assert main(["demo", "--hide", "backlash", "--seed", "4", "--out", str(tmp_path)]) == 0
     text = capsys.readouterr().out
     before, reveal = text.rsplit("Hidden:", 1)
@@ -33,7 +73,7 @@ def test_demo_prints_the_story_and_reveals_at_the_end(tmp_path, capsys):
     assert main(["check", str(tmp_path / "finger2")]) == 0
 
 
-def test_demo_prints_one_document(tmp_path, capsys):
+def test_demo_prints_one_document(short, tmp_path, capsys):
     assert (
         main(["demo", "--hide", "backlash", "--seed", "4", "--json", "--out", str(tmp_path)]) == 0
     )
@@ -41,8 +81,7 @@ def test_demo_prints_one_document(tmp_path, capsys):
     assert document["schema"] == "softmap.demo/1"
     assert [hidden["name"] for hidden in document["hidden"]] == ["backlash"]
     assert all(
-        1.0 <= hidden["displacement_mm"] <= 4.0 and hidden["params"]
-        for hidden in document["hidden"]
+        hidden["displacement_mm"] == 2.0 and hidden["params"] for hidden in document["hidden"]
     )
     assert document["diagnosis"]["schema"] == "softmap.diagnosis/2"
     assert document["before_mm"] > document["after_mm"] > 0.9 * document["floor_mm"] > 0
@@ -73,7 +112,10 @@ def test_a_surprise_depends_on_the_seed_alone():
 
 
 def test_the_same_seed_hides_the_same():
-    assert hide(["backlash"], 4) == hide(["backlash"], 4)
+    coarse = Finger.builtin().replace(core=1, layers=10)
+    one, again, other = (hide(["backlash"], seed, finger=coarse) for seed in (4, 4, 5))
+    assert one == again != other
+    assert all(1.0 <= truth.hidden[0].displacement_mm <= 4.0 for truth in (one, other))
 
 
 def test_long_work_says_that_it_goes_on():

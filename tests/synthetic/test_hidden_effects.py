@@ -5,16 +5,15 @@ Truths never use the effect library. One seed of each runs in `make test`; ten s
 nulls in `make prove`.
 """
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from finger_runs import thinned
 
 from softmap_edge import _core
 from softmap_edge.commands.demo import trial
 from softmap_edge.model.bundle import builtin_model
 from softmap_edge.robot.emulated.laws import LAWS
-from softmap_edge.run.protocol import other_protocol
+from softmap_edge.run.protocol import other_protocol, standard_protocol
 from softmap_edge.synthetic.finger import hide
 
 SEED = 4  # the seed of `make test`: a batch that is 10 % softer
@@ -24,11 +23,10 @@ FALL = 0.90  # of the removable error
 FAMILY = {effect["name"]: effect["family"] for effect in _core.effects()}
 
 
-def case(names, seed):
+def case(names, seed, protocol=None):
     """Every third frame of the other run says as well by how much the error fell."""
-    whole = other_protocol()
-    judge = replace(whole, t_seen=whole.t_seen[::3], block=whole.block[::3])
-    return trial(builtin_model(), hide(names, seed), judge=judge)
+    seen = {"judge": thinned(other_protocol()), "protocol": protocol}
+    return trial(builtin_model(), hide(names, seed), **seen)
 
 
 def claimed(story):
@@ -84,8 +82,9 @@ def test_hidden_effect_is_named_first_and_its_error_falls(name):
 
 
 @pytest.mark.parametrize("seed", [4, pytest.param(8, marks=pytest.mark.prove)])
-def test_nothing_hidden_nothing_claimed(seed):
-    story = case((), seed)
+@pytest.mark.parametrize("every", [3, pytest.param(1, marks=pytest.mark.long)])
+def test_nothing_hidden_nothing_claimed(seed, every):
+    story = case((), seed, thinned(standard_protocol(), every))
     assert claimed(story) == [], reported(story)
     assert story.diagnosis.to_dict()["verdict"] == "nothing"
     assert story.after_mm == story.before_mm

@@ -18,6 +18,7 @@ from softmap_edge.robot.drive.command_file import read_commands
 from softmap_edge.run.protocol import Limits
 from softmap_edge.synthetic.finger import HiddenEffect, Truth
 
+pytestmark = pytest.mark.long  # test_next_experiment.py settles the same doubt with the model
 MODEL = builtin_model()
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from softmap_edge.errors import SoftmapError
+from softmap_edge.fem.finger import Finger
 from softmap_edge.robot.emulated import laws as truth_laws
 from softmap_edge.robot.emulated.laws import LAWS, rotation
 from softmap_edge.run.protocol import FAST, REACH, other_protocol, standard_protocol
@@ -294,5 +295,6 @@ def test_laws_that_are_asked_for_by_name_move_every_channel():
     np.testing.assert_allclose(OffCentreSpool().scaled(0.0).command(t, u), u, atol=1e-12)
     assert np.array_equal(SwappedServos().command(t, u), u[:, [1, 0, 2, 3]])
     assert np.array_equal(SwappedServos().command(t, u[:, :1]), -u[:, :1])
-    hidden = hide(["servo_swap", "mount", "off_centre_spool"], 4)
-    assert [secret.name for secret in hidden.hidden] == ["servo_swap", "off_centre_spool", "mount"]
+    coarse = Finger.builtin().replace(core=1, layers=10)
+    hidden = hide(["servo_swap", "mount", "off_centre_spool"], 4, finger=coarse)
+    assert [effect.name for effect in hidden.hidden] == ["servo_swap", "off_centre_spool", "mount"]

@@ -70,7 +70,7 @@ def test_encodings_need_a_surface():
 def test_a_baseline_learns_and_the_same_seed_gives_the_same(name, monkeypatch):
     if name == "xgboost" and importlib.util.find_spec("xgboost") is None:
         pytest.skip("xgboost-cpu is not installed")
-    monkeypatch.setattr(choices, "DEEPSORO", choices.DEEPSORO.with_(epochs=60, rate=3e-3))
+    monkeypatch.setattr(choices, "DEEPSORO", choices.DEEPSORO.with_(epochs=20, rate=3e-3))
     monkeypatch.setattr(choices, "DEEPSORO_WIDTH", 32)
     monkeypatch.setattr(choices, "DEEPSORO_DRAWN", 1)
     monkeypatch.setattr(choices, "XGBOOST", choices.XGBOOST | {"n_estimators": 60})
