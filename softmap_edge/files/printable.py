@@ -29,12 +29,12 @@ __all__ = [
 LONGEST_NAME = 100  # characters of a listed name
 
 
-def listed(items: Iterable[object], most: int) -> str:
+def listed(items: Iterable[object], most: int, longest: int = LONGEST_NAME) -> str:
     """Return the first `most` items with commas between them, and the number of the others.
 
-    Each is one printable line of at most `LONGEST_NAME` characters.
+    Each is one printable line of at most `longest` characters.
     """
-    texts = [shortened(one_line(str(item)), LONGEST_NAME) for item in items]
+    texts = [shortened(one_line(str(item)), longest) for item in items]
     return ", ".join(texts[:most]) + (f" and {len(texts) - most} more" if len(texts) > most else "")
 
 

@@ -8,6 +8,7 @@ import tomllib
 from dataclasses import replace
 
 import pytest
+from other_program import leave
 from rigs import BAUD, HOME, MODEL, NUMBER, set_up
 
 from softmap_edge import _core
@@ -139,6 +140,7 @@ def test_homing_changes_home_and_its_provenance_alone(hanging, capsys):
 
 def test_setting_up_again_takes_what_was_found_says_so_and_leaves_what_was_written(hanging, capsys):
     bus, file = hanging
+    leave(bus.path, BAUD, drive_mode=1)
     assert (
         main(
             [
@@ -159,7 +161,7 @@ def test_setting_up_again_takes_what_was_found_says_so_and_leaves_what_was_writt
     text = file.read_text()
     assert "home" not in text.split("[made.homed]")[0] and "current_mA" not in text
     assert (
-        f"{file} held its home and measured current: taken out, to be found again"
+        f"{file} held its home and measured current: taken out, because its drive mode changed"
         in capsys.readouterr().out
     )
     assert "# new in June" in text and "# measured in May" in text and "# ours\n" in text

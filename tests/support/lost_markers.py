@@ -16,14 +16,15 @@ RNG = np.random.default_rng(0)
 
 def body(u, count=4, noise=0.05, digits=3):
     """Markers (K, M, 3) mm on a finger that bends with u (K, 2), as a log with `digits` has
-    them.
+    them. Each call draws the same noise, whatever was drawn before.
     """
+    rng = np.random.default_rng(1)
     s = np.linspace(1 / count, 1, count)
     points = [
         np.c_[4 * u[:, 0] * a**2, 4 * u[:, 1] * a**2, 100 * a - 0.02 * (u**2).sum(axis=1) * a]
         for a in s
     ]
-    points = np.stack(points, axis=1) + noise * RNG.normal(size=(len(u), count, 3))
+    points = np.stack(points, axis=1) + noise * rng.normal(size=(len(u), count, 3))
     return points if digits is None else np.round(points, digits)
 
 

@@ -11,7 +11,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from softmap_edge.errors import TeleopError
+from softmap_edge.errors import LONGEST_WORD, TeleopError
 from softmap_edge.files.printable import listed
 
 DEVICES = Path("/dev")
@@ -48,7 +48,9 @@ def cameras(devices: Path = DEVICES) -> list[Camera]:
 def there(devices: Path = DEVICES) -> str:
     """Return the list of the connected cameras for a message."""
     found = cameras(devices)
-    return f"the cameras here are {listed(found, MOST)}" if found else "no camera is connected"
+    if not found:
+        return "no camera is connected"
+    return f"the cameras here are {listed(found, MOST, LONGEST_WORD)}"  # paths to copy
 
 
 def camera_number(text: str, devices: Path = DEVICES) -> int | None:
