@@ -102,7 +102,8 @@ def _on_a_beat(gaps: NDArray[np.int64]) -> bool:
     """
     typical = int(np.median(gaps))
     slack = 0 if typical < 4 else 1  # with a beat of 3 rows, every gap is within one
-    return bool((np.abs(gaps - typical * np.rint(gaps / typical)) <= slack).mean() >= _EVEN)
+    beats = np.maximum(np.rint(gaps / typical), 1.0)  # a gap of far less is no beat
+    return bool((np.abs(gaps - typical * beats) <= slack).mean() >= _EVEN)
 
 
 def repeated_frames(t: Array, points: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

@@ -39,6 +39,13 @@ def test_repeats_of_a_resting_or_coarse_finger_stay(name):
     assert not held.any() and not still.any() and not not_seen(points, u).mask.any()
 
 
+def test_digits_that_flicker_at_random_have_no_beat():
+    """Whole millimetres on stairs: places near a half flicker, and most rows repeat."""
+    for seed in range(60):
+        held, _ = repeated_frames(T, body(STAIRS, digits=0, seed=seed))
+        assert not held.any(), seed
+
+
 SLOW = {
     "every second row": (np.arange(K) // 2 * 2, 0.05, 3),
     "every third row without noise": (np.arange(K) // 3 * 3, 0.0, 3),
