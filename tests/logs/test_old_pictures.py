@@ -40,7 +40,7 @@ def test_repeats_of_a_resting_or_coarse_finger_stay(name):
 
 
 def test_digits_that_flicker_at_random_have_no_beat():
-    """Whole millimetres on stairs: places near a half flicker, and most rows repeat."""
+    """Millimetres without decimals, on stairs: places near a half flicker, and most rows repeat."""
     for seed in range(60):
         held, _ = repeated_frames(T, body(STAIRS, digits=0, seed=seed))
         assert not held.any(), seed
