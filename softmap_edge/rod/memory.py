@@ -11,8 +11,8 @@ Level 2. The members of the families that fall are fitted with the static map so
 (`law.py`), with one number for all channels and with a number per channel. A law *reaches* if it
 fits as well as the best of all, representatives included. Of the laws that reach, the one with the
 fewest numbers is chosen; the others are its alternatives. Numbers for each channel count as one. A
-law is open if its family still explains a good part of the remaining loss, or if all laws leave a
-good part of the first loss: a bad map and a wrong law look alike. A law that does not reach, or
+law is open if its family, or a second law of it, explains a good part of the remaining loss, or if
+all laws leave a good part of the first loss: a bad map and a wrong law look alike. A law that does not reach, or
 that is at a bound, is only reported if it is weak, if it explains only part of its family's fall,
 or if a family without laws is near: it would only replace another cause. The same holds for a law
 whose numbers from some blocks do not lower the loss of the others, and for one that fits nearly as
@@ -159,7 +159,11 @@ class _Found:
 
 
 def find_memory(
-    seen: ReferenceFrames, static: StaticMap, seed: int, members: Sequence[str] | None = None
+    seen: ReferenceFrames,
+    static: StaticMap,
+    seed: int,
+    members: Sequence[str] | None = None,
+    richer: Sequence[StaticMap] = (),
 ) -> Memory:
     """Find the memory of a robot together with its static map.
 
@@ -168,15 +172,22 @@ def find_memory(
         static: the static map of the same frames.
         seed: of the scans.
         members: the families whose laws may join the chain; None for all. Others are only reported.
+        richer: other forms of the map, poorest first. One replaces `static` if it lowers the error
+            of the best family or law.
     """
-    return _Search(seen, static, seed, members).run()
+    return _Search(seen, static, seed, members, richer).run()
 
 
 class _Search:
     def __init__(
-        self, seen: ReferenceFrames, static: StaticMap, seed: int, members: Sequence[str] | None
+        self,
+        seen: ReferenceFrames,
+        static: StaticMap,
+        seed: int,
+        members: Sequence[str] | None,
+        richer: Sequence[StaticMap],
     ) -> None:
-        self.seen, self.static, self.members = seen, static, members
+        self.seen, self.static, self.members, self.richer = seen, static, members, tuple(richer)
         self.fit, self.families = LawFit(seen.drive, static, seed, seen.unit), families()
         self.floor = self._noise() * len(static.targets) * static.targets.shape[1]
         # how often a frame is held out
@@ -192,10 +203,14 @@ class _Search:
             found = self._with_more(represented, acting, found)
             if self._static_suffices(represented, acting, found):
                 # the next families are compared with this map
-                self.static = replace(self.static, splined=True)
-                self.fit = LawFit(self.fit.drive, self.static, self.fit.seed, self.fit.unit)
+                self._take(replace(self.static, splined=True))
                 continue
-            step = self._step(represented, acting, found)
+            falling = self._falling(represented, acting, found)
+            laws = self._laws(falling, acting, found)
+            if self._outgrown(falling, laws, acting, found):
+                found, acting = [], self.seen.drive.commanded
+                continue
+            step = self._step(falling, laws, acting, found) if falling else None
             if step is None:
                 break
             found.append(step)
@@ -240,26 +255,75 @@ class _Search:
         own = [one for one in represented if one.family.name == last.family.name]
         return [
             *found[:-1],
-            replace(last, more=any(self._falls(now, one.losses, SURE) for one in own)),
+            replace(last, more=last.more or any(self._falls(now, one.losses, SURE) for one in own)),
         ]
 
-    def _step(
+    def _falling(
         self, represented: Sequence[_Represented], acting: Floats, found: Sequence[_Found]
-    ) -> _Found | None:
-        """Return the law to add to the chain, or None."""
-        now, best = self.static.losses(acting), represented[0]
-        if not self._falls(now, best.losses, LATER if found else FIRST):
-            return None
-        share = LATER if found else FIRST
-        falling = [
+    ) -> list[_Represented]:
+        """Return the families that lower the loss; none if the best of all does not."""
+        now, share = self.static.losses(acting), LATER if found else FIRST
+        if not self._falls(now, represented[0].losses, share):
+            return []
+        return [
             one
             for one in represented
             if self._falls(now, one.losses, share) and not one.family.static
         ]
-        near = [one for one in falling if self._near(one.losses, best.losses, now)]
+
+    def _laws(
+        self, falling: Sequence[_Represented], acting: Floats, found: Sequence[_Found]
+    ) -> list[_Candidate]:
+        """Return the laws of these families that lower the loss as well, lowest first."""
+        now, share = self.static.losses(acting), LATER if found else FIRST
         good = [
             one for one in self._candidates(falling, found) if self._falls(now, one.losses, share)
         ]
+        return sorted(good, key=lambda one: float(one.losses.sum()))
+
+    def _outgrown(
+        self,
+        falling: Sequence[_Represented],
+        laws: Sequence[_Candidate],
+        acting: Floats,
+        found: Sequence[_Found],
+    ) -> bool:
+        """Replace the static map if another form lowers the loss of the best family or law.
+
+        As long as the memory is missing, its error hides that of the form of the map. A wrong law
+        then fits best if it bends the map as well.
+        """
+        beside: list[tuple[Floats, Floats, Floats | None]] = [
+            (acting, one.losses, self._signals_alongside(one.family, found)) for one in falling[:1]
+        ]
+        beside += [(one.law.acting, one.losses, None) for one in laws[:1]]
+        for commands, losses, signals in beside:
+            taken: StaticMap | None = None
+            for form in self.richer:
+                lower = form.losses(commands, signals)
+                if float((losses - lower).sum()) > standard_error(losses - lower):
+                    losses, taken = lower, form
+            if taken is not None:
+                self.richer = self.richer[self.richer.index(taken) + 1 :]
+                self._take(taken.tuned(commands))
+                return True
+        return False
+
+    def _take(self, static: StaticMap) -> None:
+        """Compare the next families and laws with another static map."""
+        self.static = static
+        self.fit = LawFit(self.fit.drive, static, self.fit.seed, self.fit.unit)
+
+    def _step(
+        self,
+        falling: Sequence[_Represented],
+        good: Sequence[_Candidate],
+        acting: Floats,
+        found: Sequence[_Found],
+    ) -> _Found | None:
+        """Return the law to add to the chain, or None."""
+        now, best = self.static.losses(acting), falling[0]
+        near = [one for one in falling if self._near(one.losses, best.losses, now)]
         if not good:
             self._only_seen(near, now, False)
             return None
@@ -362,7 +426,7 @@ class _Search:
         best = min(
             reach or good, key=lambda one: (one.numbers if reach else 0, float(one.losses.sum()))
         )
-        fitted, second = self._paired(best)
+        fitted, second, more = self._paired(best)
         others = reach or sorted(good, key=lambda one: float(one.losses.sum()))[: 1 + SHORT]
         alternatives = [one for one in others if one.name not in (best.name, second)]
         lawless = [
@@ -372,7 +436,14 @@ class _Search:
         weak = not self._falls(now, fitted.losses, SURE)
         names = tuple(filter(None, (best.name, second)))
         return _Found(
-            best.family, names, fitted, now, tuple(alternatives), short=not reach, weak=weak
+            best.family,
+            names,
+            fitted,
+            now,
+            tuple(alternatives),
+            short=not reach,
+            weak=weak,
+            more=more,
         )
 
     def _law(self, names: Sequence[str], found: Sequence[_Found]) -> FittedLaw:
@@ -381,14 +452,15 @@ class _Search:
         last = found[-1].fitted
         return self.fit.scanned(law(names, self.seen.drive, self._apart(last)), last.numbers)
 
-    def _paired(self, one: _Candidate) -> tuple[FittedLaw, str]:
+    def _paired(self, one: _Candidate) -> tuple[FittedLaw, str, bool]:
         """Return the law with a second member of its family if that explains the remainder.
 
-        The pair must explain nearly all of the first law's remainder.
+        The pair must explain nearly all of the first law's remainder. The last value is whether a
+        second member explains a good part of it, so the form of the law alone is not right.
         """
         fitted = one.law
         left = float(fitted.losses.sum()) - self.frames * self.floor
-        best, second = fitted, ""
+        best, second, more = fitted, "", False
         for member in one.family.members:
             if member in fitted.law.names:
                 continue
@@ -397,13 +469,14 @@ class _Search:
                 fitted.numbers,
             )
             fall = float((fitted.losses - both.losses).sum())
+            more = more or self._falls(fitted.losses, both.losses, SURE)
             if (
                 fall > PAIR * left
                 and self._falls(fitted.losses, both.losses, LATER)
                 and both.losses.sum() < best.losses.sum()
             ):
                 best, second = both, member
-        return best, second
+        return best, second, more and not second
 
     @staticmethod
     def _apart(fitted: FittedLaw) -> list[str]:

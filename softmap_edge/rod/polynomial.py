@@ -140,20 +140,26 @@ def _memory(
     bases: tuple[Basis, ...],
     seed: int,
 ) -> Memory:
-    """Find the memory with the map of the commands alone, or with a richer one for few channels."""
+    """Find the memory with the map of the commands alone, or with a richer form if that shows.
+
+    Polynomials have the highest degree for few channels.
+    """
     chosen, ridge = choose_basis(fit, commanded, bases)
     plane = _plane(Regression(thinned.markers, fit.base, parts))
-    if chosen.intervals:
-        return find_memory(thinned, StaticMap(plane, parts, chosen, ridge), seed)
     most = max(chosen.degree, CUBIC if thinned.drive.channels <= FEW_CHANNELS else 1)
-    alike = [
-        one
-        for one in bases
-        if one.pulled == chosen.pulled and one.degree <= most and not one.intervals
+    forms = [
+        max(
+            (b for b in bases if (b.intervals, b.pulled) == form and b.degree <= most),
+            key=lambda basis: basis.degree,
+        )
+        for form in sorted({(basis.intervals, basis.pulled) for basis in bases})
+        if form >= (chosen.intervals, chosen.pulled)
     ]
-    return find_memory(
-        thinned, StaticMap(plane, parts, max(alike, key=lambda basis: basis.degree)), seed
-    )
+    first, *richer = [
+        StaticMap(plane, parts, basis, ridge if chosen.intervals else RIDGE_STEPS[0])
+        for basis in forms
+    ]
+    return find_memory(thinned, first, seed, richer=richer)
 
 
 def _plane(fit: Regression) -> Floats:

@@ -16,7 +16,7 @@ and Pereyra 1973, doi:10.1137/0710036. Pinned by tests/rod/test_learned_memory.p
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,15 @@ class StaticMap:
     ridge: float = RIDGE_STEPS[0]
     splined: bool = False
     base: Callable[[Floats], Floats] | None = None
+
+    def tuned(self, acting: Floats) -> StaticMap:
+        """Return the map with the ridge of the lowest held-out loss, if its terms are splines."""
+        if not self.basis.intervals:
+            return self
+        columns, penalty = self._columns(acting)
+        folded = _Folded(columns, self.left(acting), self.parts)
+        sums = [float(folded.losses(ridge * penalty).sum()) for ridge in RIDGE_STEPS]
+        return replace(self, ridge=RIDGE_STEPS[int(np.argmin(sums))])
 
     def left(self, acting: Floats) -> Floats:
         """Return the targets (n, q) mm of the polynomial at effective commands `acting` (n, C)."""

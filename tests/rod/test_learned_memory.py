@@ -12,7 +12,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from logs import published
-from recorded_arms import arc, play, recorded, segmented, wander
+from recorded_arms import (
+    arc,
+    growing_play,
+    one_pole,
+    play,
+    recorded,
+    segmented,
+    slackened,
+    wander,
+)
 
 from softmap_edge import Run, learn_model, load_bundle, save_bundle
 from softmap_edge.cli import main
@@ -93,6 +102,30 @@ def test_a_short_log_of_an_arm_without_memory_gets_nothing_into_its_chain(
 def test_play_behind_such_a_map_is_named():
     (one,) = learn(segmented(4, 3, 500, gap=4.0)).learned_in
     assert one.name == "backlash" and one.params[0].value == pytest.approx(4.0, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("law", "seed", "seconds", "name"),
+    [
+        (lambda u: play(u, (4.5, 5.85)), 1, 45.0, "backlash"),
+        (lambda u: play(u, (4.5, 5.85)), 1, 60.0, "backlash"),
+        (lambda u: one_pole(u, 0.45), 2, 30.0, "lag"),
+    ],
+)
+def test_the_form_of_the_map_is_chosen_with_the_memory_in_place(law, seed, seconds, name):
+    """Slack tendons need a rich map, which only shows once the large memory is explained.
+
+    With a map chosen before, other laws fitted as well, or a second one joined.
+    """
+    first = learn(slackened(law, seed, seconds)).learned_in[0]
+    assert (first.name, first.law) == (name, "identified")
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_play_that_grows_with_the_command_is_no_identified_backlash(seed):
+    found = learn(slackened(lambda u: growing_play(u, 0.2, 2.0), seed, 80.0, slack=3.5))
+    assert {one.family for one in found.learned_in} == {"memory"}
+    assert all(one.law == "open" for one in found.learned_in)
 
 
 def test_a_law_that_reads_the_run_backward_follows_the_future():

@@ -83,3 +83,37 @@ def segmented(seed, segments=2, frames=400, gap=0.0, noise=0.5):
         turned = turned @ Rotation.from_rotvec(angle[:, None] * axis).as_matrix()
     markers = np.stack(tips, axis=1)
     return Run(t=t, command=u, t_seen=t, markers=markers + rng.normal(0.0, noise, markers.shape))
+
+
+def one_pole(u, tau, step=0.02):
+    """Commands (T, C) behind a first-order lag of `tau` s."""
+    out, at = np.empty_like(u), u[0].copy()
+    for i, now in enumerate(u):
+        at = at + (now - at) * (1.0 - np.exp(-step / tau))
+        out[i] = at
+    return out
+
+
+def growing_play(u, share, start):
+    """Commands (T, C) behind a play of half width share·(|u| + start)."""
+    out, at = np.empty_like(u), u[0].copy()
+    for i, now in enumerate(u):
+        half = share * (np.abs(now) + start)
+        at = np.clip(at, now - half, now + half)
+        out[i] = at
+    return out
+
+
+def slackened(law, seed, seconds, slack=2.5, noise=0.15):
+    """A run of an arm whose tendons are slack: within ±`slack` mm it hardly moves.
+
+    The commands walk between random targets; `law` (T, C) → (T, C) acts on them.
+    """
+    rng, t = np.random.default_rng(seed), np.arange(0.0, seconds, 0.02)
+    corners = np.arange(0.0, seconds + 4.0, 1.7)
+    stops = rng.uniform(-10.0, 10.0, (len(corners), 2))
+    u = np.stack([np.interp(t, corners, stops[:, c]) for c in (0, 1)], axis=1)
+    acting = law(u)
+    taut = np.sign(acting) * np.maximum(np.abs(acting) - slack, 0.0)
+    markers = arc(taut + 0.15 * np.clip(acting, -slack, slack))[::3]
+    return Run(t=t, command=u, t_seen=t[::3], markers=markers + rng.normal(0, noise, markers.shape))
