@@ -18,7 +18,8 @@ or if a family without laws is near: it would only replace another cause. The sa
 whose numbers from some blocks do not lower the loss of the others, and for one that fits nearly as
 well if it reads the run backward: a memory depends on the past alone, and such a law only bends the
 static map. The law joins the chain, its effective commands replace the commands, and the families
-are tried again.
+are tried again. A law that is not identified may stand in for two, so two laws of different families
+are fitted together as well, and join if they explain far more.
 
 Several runs: each run whose commands the others cover is also held out as a block. This separates
 families with the same loop at one amplitude and speed. Limits: laws act in series with the map; a
@@ -29,13 +30,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.model.effect_info import registry
 from softmap_edge.model.learned_in import Alternative, LearnedIn
-from softmap_edge.model.learned_in import Law as Certainty
+from softmap_edge.rod.evidence import FIRST, LATER, MOST_FOLDS, Evidence
+from softmap_edge.rod.found_law import (
+    Candidate,
+    FoundLaw,
+    Represented,
+    count_numbers,
+    in_place_of,
+    twins,
+)
 from softmap_edge.rod.law import FittedLaw, LawFit, law
 from softmap_edge.rod.reference_run import ReferenceFrames
 from softmap_edge.rod.regression import Drive, Record, standard_error
@@ -47,16 +56,6 @@ Floats = NDArray[np.float64]
 FRAMES = 1500  # frames of a search; neighbouring frames are redundant
 FEW_CHANNELS = 3  # most channels for powers of signals; with more there are too few frames
 POWERS = 3
-LEAST = 0.03  # least share of the loss that a family explains; less depends on the choice of folds
-# the same of the loss above the noise; later families share the remainder
-FIRST, LATER = 0.05, 0.3
-MOST_FOLDS = 0.6  # share of the folds in which it must fall
-FALL = 0.01  # of a fold's loss: least fall
-# of the robot's length, RMS: camera limit (0.12 mm for a finger of 120)
-VISIBLE = 1e-3
-FORM = 0.025  # of the explained loss: closer laws differ only by model-form error
-# share and least number of folds that decide if the mean difference does not
-AGREE, FOLDS_THAT_AGREE = 0.85, 5
 # Shares of the loss above the noise: least explained by an identified or unknown law, and most left
 # in total, or to its family.
 SURE = 0.2
@@ -86,76 +85,6 @@ class Memory:
     def acting(self, drive: Drive) -> Floats:
         """Return the effective commands (n, C) at the frame times."""
         return drive.acting(self.names, self.params)
-
-
-@dataclass(frozen=True, eq=False)
-class _Represented:
-    """A family with the held-out loss (folds,) of its signals together with the map."""
-
-    family: Family
-    losses: Floats
-
-
-@dataclass(frozen=True, eq=False)
-class _Candidate:
-    """A candidate: an effect `name` as a family's law, or a family without one.
-
-    It holds the held-out loss (folds,).
-    """
-
-    family: Family
-    name: str
-    losses: Floats
-    fitted: FittedLaw | None = None
-
-    @property
-    def law(self) -> FittedLaw:
-        """The fitted law of an effect."""
-        assert self.fitted is not None
-        return self.fitted
-
-    @property
-    def numbers(self) -> int:
-        """The count of free numbers; those per channel, if evidence requires, count as one."""
-        return 0 if self.fitted is None else _numbers(self.fitted)
-
-
-@dataclass(frozen=True, eq=False)
-class _Found:
-    """Effects that were accepted together, the loss before them, and the alternatives.
-
-    They are `short` if they do not reach the best of all, and `weak` if they explain a small part
-    of the loss. Their family explains `more` if its signals, on top of them, lower the remainder
-    clearly. They leave a `rest` if a good part of the first loss remains unexplained.
-    """
-
-    family: Family
-    names: tuple[str, ...]
-    fitted: FittedLaw
-    before: Floats
-    alternatives: tuple[_Candidate, ...]
-    short: bool
-    weak: bool
-    more: bool = False
-    rest: bool = False
-
-    @property
-    def certainty(self) -> Certainty:
-        """Whether the law is identified.
-
-        It must be strong, not at a bound, without an equal alternative, and leave little error.
-        """
-        if self.short or self.more or self.rest or self.fitted.bounded.any():
-            return "open"
-        alike = any(self._is_as_good(other) for other in self.alternatives)
-        return "ambiguous" if alike or self.weak else "identified"
-
-    def _is_as_good(self, other: _Candidate) -> bool:
-        """Whether an alternative is of another family, has as few numbers, or fits better."""
-        if other.family.name != self.family.name or other.numbers <= _numbers(self.fitted):
-            return True
-        fall = self.fitted.losses - other.losses
-        return float(fall.sum()) > standard_error(fall) and float((fall > 0).mean()) >= MOST_FOLDS
 
 
 def find_memory(
@@ -189,18 +118,15 @@ class _Search:
     ) -> None:
         self.seen, self.static, self.members, self.richer = seen, static, members, tuple(richer)
         self.fit, self.families = LawFit(seen.drive, static, seed, seen.unit), families()
-        self.floor = self._noise() * len(static.targets) * static.targets.shape[1]
-        # how often a frame is held out
-        self.frames = sum(len(test) for _, test in static.parts) / len(static.targets)
+        self.evidence = Evidence.of(seen, static)
         self.notes: list[str] = []
         self.unknown: tuple[LearnedIn, ...] = ()
 
     def run(self) -> Memory:
-        found: list[_Found] = []
+        found: list[FoundLaw] = []
         acting = self.seen.drive.commanded
         while len(found) < MOST_LAWS:
             represented = self._represented(acting, found)
-            found = self._with_more(represented, acting, found)
             if self._static_suffices(represented, acting, found):
                 # the next families are compared with this map
                 self._take(replace(self.static, splined=True))
@@ -210,19 +136,19 @@ class _Search:
             if self._outgrown(falling, laws, acting, found):
                 found, acting = [], self.seen.drive.commanded
                 continue
-            step = self._step(falling, laws, acting, found) if falling else None
-            if step is None:
+            steps = self._steps(falling, laws, acting, found) if falling else []
+            if not steps:
                 break
-            found.append(step)
-            acting = step.fitted.acting
-        noise = float(np.sqrt(self.floor / self.static.targets.size))
+            found += steps
+            acting = found[-1].fitted.acting
+        noise = self.evidence.noise_mm
         if not found:
             return Memory(learned_in=self.unknown, noise_mm=noise, notes=tuple(self.notes))
         return self._memory(found, noise)
 
     # --- one family ------------------------------------------------------------------------------
 
-    def _represented(self, acting: Floats, found: Sequence[_Found]) -> list[_Represented]:
+    def _represented(self, acting: Floats, found: Sequence[FoundLaw]) -> list[Represented]:
         """Return the families that this log can show, lowest held-out loss first."""
         possible = [
             family
@@ -231,62 +157,53 @@ class _Search:
             and not (family.static and (self.static.splined or self.static.basis.intervals))
         ]
         every = (
-            _Represented(f, self.static.losses(acting, self._signals_alongside(f, found)))
+            Represented(f, self.static.losses(acting, self._signals_alongside(f, found)))
             for f in possible
         )
         return sorted(every, key=lambda one: float(one.losses.sum()))
 
     def _static_suffices(
-        self, represented: Sequence[_Represented], acting: Floats, found: Sequence[_Found]
+        self, represented: Sequence[Represented], acting: Floats, found: Sequence[FoundLaw]
     ) -> bool:
         """Whether a map of another form fits as well as any memory."""
         now, best = self.static.losses(acting), represented[0].losses
-        if not self._falls(now, best, LATER if found else FIRST):
+        if not self.evidence.falls(now, best, LATER if found else FIRST):
             return False
-        return any(one.family.static and self._near(one.losses, best, now) for one in represented)
-
-    def _with_more(
-        self, represented: Sequence[_Represented], acting: Floats, found: Sequence[_Found]
-    ) -> list[_Found]:
-        """Return the result; mark its last law if its family explains much of the remainder."""
-        if not found:
-            return []
-        now, last = self.static.losses(acting), found[-1]
-        own = [one for one in represented if one.family.name == last.family.name]
-        return [
-            *found[:-1],
-            replace(last, more=last.more or any(self._falls(now, one.losses, SURE) for one in own)),
-        ]
+        return any(
+            one.family.static and self.evidence.near(one.losses, best, now) for one in represented
+        )
 
     def _falling(
-        self, represented: Sequence[_Represented], acting: Floats, found: Sequence[_Found]
-    ) -> list[_Represented]:
+        self, represented: Sequence[Represented], acting: Floats, found: Sequence[FoundLaw]
+    ) -> list[Represented]:
         """Return the families that lower the loss; none if the best of all does not."""
         now, share = self.static.losses(acting), LATER if found else FIRST
-        if not self._falls(now, represented[0].losses, share):
+        if not self.evidence.falls(now, represented[0].losses, share):
             return []
         return [
             one
             for one in represented
-            if self._falls(now, one.losses, share) and not one.family.static
+            if self.evidence.falls(now, one.losses, share) and not one.family.static
         ]
 
     def _laws(
-        self, falling: Sequence[_Represented], acting: Floats, found: Sequence[_Found]
-    ) -> list[_Candidate]:
+        self, falling: Sequence[Represented], acting: Floats, found: Sequence[FoundLaw]
+    ) -> list[Candidate]:
         """Return the laws of these families that lower the loss as well, lowest first."""
         now, share = self.static.losses(acting), LATER if found else FIRST
         good = [
-            one for one in self._candidates(falling, found) if self._falls(now, one.losses, share)
+            one
+            for one in self._candidates(falling, found)
+            if self.evidence.falls(now, one.losses, share)
         ]
         return sorted(good, key=lambda one: float(one.losses.sum()))
 
     def _outgrown(
         self,
-        falling: Sequence[_Represented],
-        laws: Sequence[_Candidate],
+        falling: Sequence[Represented],
+        laws: Sequence[Candidate],
         acting: Floats,
-        found: Sequence[_Found],
+        found: Sequence[FoundLaw],
     ) -> bool:
         """Replace the static map if another form lowers the loss of the best family or law.
 
@@ -314,48 +231,115 @@ class _Search:
         self.static = static
         self.fit = LawFit(self.fit.drive, static, self.fit.seed, self.fit.unit)
 
-    def _step(
+    def _steps(
         self,
-        falling: Sequence[_Represented],
-        good: Sequence[_Candidate],
+        falling: Sequence[Represented],
+        good: Sequence[Candidate],
         acting: Floats,
-        found: Sequence[_Found],
-    ) -> _Found | None:
-        """Return the law to add to the chain, or None."""
+        found: Sequence[FoundLaw],
+    ) -> list[FoundLaw]:
+        """Return the law to add to the chain, or two that only together explain the loss."""
         now, best = self.static.losses(acting), falling[0]
-        near = [one for one in falling if self._near(one.losses, best.losses, now)]
+        near = [one for one in falling if self.evidence.near(one.losses, best.losses, now)]
         if not good:
             self._only_seen(near, now, False)
-            return None
+            return []
         step = self._chosen(near, good, now, best.losses)
+        step = replace(step, more=step.more or self._explains_more(step))
+        if step.certainty != "identified" and (two := self._together(step, good, now, found)):
+            return two
         elsewhere = self.members is not None and step.family.name not in self.members
         part = float((now - step.fitted.losses).sum()) < PART * float((now - best.losses).sum())
         lawless = any(not one.family.members for one in near)
         stands_in = step.certainty == "open" and (part or step.weak or lawless)
         if elsewhere or stands_in:
             self._only_seen(near, now, elsewhere)
-            return None
+            return []
         if why := self._unconfirmed(step, found, now):
             self.notes.append(
-                f"{' and '.join(step.names)} lowers the held-out error from {self._rms(now):.2f} "
-                f"to {self._rms(step.fitted.losses):.2f} mm RMS, but {why}; this is no proof of a "
+                f"{' and '.join(step.names)} lowers the held-out error from {self.evidence.rms(now):.2f} "
+                f"to {self.evidence.rms(step.fitted.losses):.2f} mm RMS, but {why}; this is no proof of a "
                 "memory, so the law is not in the model"
             )
-            return None
-        return step
+            return []
+        return [step]
 
-    def _unconfirmed(self, step: _Found, found: Sequence[_Found], now: Floats) -> str:
+    def _explains_more(self, one: FoundLaw) -> bool:
+        """Whether the signals of a law's family, on top of it, lower the remainder clearly."""
+        signals = self._signals_alongside(one.family, [one])
+        left = one.fitted.losses
+        return self.evidence.falls(left, self.static.losses(one.fitted.acting, signals), SURE)
+
+    def _together(
+        self,
+        alone: FoundLaw,
+        good: Sequence[Candidate],
+        now: Floats,
+        found: Sequence[FoundLaw],
+    ) -> list[FoundLaw]:
+        """Return two laws of different families if they explain far more than one law alone.
+
+        One law after the other may fail: the first one found may stand in for both.
+        """
+        if self.members is not None or len(found) + 2 > MOST_LAWS:
+            return []
+        pairs = [
+            (one, other, self._law([*one.law.law.names, other.name], found, one.law))
+            for one, other in combinations(good, 2)
+            if one.family.name != other.family.name
+        ]
+        if not pairs:
+            return []
+        pairs.sort(key=lambda pair: float(pair[2].losses.sum()))
+        pairs = [
+            (one, other, self._each_of(one, other, both) if i < EACH_TRIED else both)
+            for i, (one, other, both) in enumerate(pairs)
+        ]
+        lowest = min((both.losses for *_, both in pairs), key=lambda losses: float(losses.sum()))
+        reach = [pair for pair in pairs if self.evidence.near(pair[2].losses, lowest, now)]
+        one, other, both = min(
+            reach, key=lambda pair: (count_numbers(pair[2]), float(pair[2].losses.sum()))
+        )
+        if not self.evidence.falls(alone.fitted.losses, both.losses, LATER):
+            return []
+        first, second = (
+            FoundLaw(
+                mine.family,
+                (mine.name,),
+                fitted,
+                before,
+                tuple(in_place_of(mine, reach).values()),
+                short=False,
+                weak=not self.evidence.falls(before, both.losses, SURE),
+            )
+            for mine, fitted, before in ((one, one.law, now), (other, both, one.losses))
+        )
+        joint = replace(second, names=(one.name, other.name), before=now)
+        confirmed = not self._unconfirmed(joint, found, now) and not self._unconfirmed(
+            second, [*found, first], one.losses
+        )
+        return [first, second] if confirmed else []
+
+    def _each_of(self, one: Candidate, other: Candidate, both: FittedLaw) -> FittedLaw:
+        """Return a law of two effects with a number per channel of each, if that is evident."""
+        for candidate in (one, other):
+            both = self._each(Candidate(candidate.family, candidate.name, both.losses, both)).law
+        return both
+
+    def _unconfirmed(self, step: FoundLaw, found: Sequence[FoundLaw], now: Floats) -> str:
         """Return why the fall of the loss by new laws may be chance or a bad map, or ''."""
         refitted = self.fit.refitted_losses(step.fitted)
-        if not self._falls(now, refitted, LATER if found else FIRST):
-            return f"with numbers from the other blocks only to {self._rms(refitted):.2f} mm"
+        if not self.evidence.falls(now, refitted, LATER if found else FIRST):
+            return (
+                f"with numbers from the other blocks only to {self.evidence.rms(refitted):.2f} mm"
+            )
         backward = self._backward(step, found)
         lost, fall = backward - step.fitted.losses, float((now - step.fitted.losses).sum())
         if float(lost.sum()) < max(PAST * fall, standard_error(lost)):
-            return f"with the run read backward to {self._rms(backward):.2f} mm as well"
+            return f"with the run read backward to {self.evidence.rms(backward):.2f} mm as well"
         return ""
 
-    def _backward(self, step: _Found, found: Sequence[_Found]) -> Floats:
+    def _backward(self, step: FoundLaw, found: Sequence[FoundLaw]) -> Floats:
         """Return the held-out loss (folds,) of the new laws that read the run backward.
 
         A memory depends on the past alone. A law that fits as well on the future only bends the
@@ -384,8 +368,8 @@ class _Search:
         return np.asarray(record.rolled(fitted.law.chain, fitted.law.params(fitted.x)[None])[0])
 
     def _candidates(
-        self, falling: Sequence[_Represented], found: Sequence[_Found]
-    ) -> list[_Candidate]:
+        self, falling: Sequence[Represented], found: Sequence[FoundLaw]
+    ) -> list[Candidate]:
         """Return the fitted laws of all families that fall, with the laws found before.
 
         The signals of one channel at a time may explain less than a law behind a map of many
@@ -394,7 +378,7 @@ class _Search:
         """
         there = [name for one in found for name in one.names]
         alike = [
-            _Candidate(one.family, member, fit.losses, fit)
+            Candidate(one.family, member, fit.losses, fit)
             for one in falling
             for member in one.family.members
             if member not in there
@@ -413,16 +397,16 @@ class _Search:
 
     def _chosen(
         self,
-        near: Sequence[_Represented],
-        good: Sequence[_Candidate],
+        near: Sequence[Represented],
+        good: Sequence[Candidate],
         now: Floats,
         represented: Floats,
-    ) -> _Found:
+    ) -> FoundLaw:
         """Choose among laws that lower the loss: equals of the best, fewest numbers first."""
         lowest = min(
             [*(one.losses for one in good), represented], key=lambda losses: float(losses.sum())
         )
-        reach = [one for one in good if self._near(one.losses, lowest, now)]
+        reach = [one for one in good if self.evidence.near(one.losses, lowest, now)]
         best = min(
             reach or good, key=lambda one: (one.numbers if reach else 0, float(one.losses.sum()))
         )
@@ -430,12 +414,14 @@ class _Search:
         others = reach or sorted(good, key=lambda one: float(one.losses.sum()))[: 1 + SHORT]
         alternatives = [one for one in others if one.name not in (best.name, second)]
         lawless = [
-            one for one in near if not one.family.members and self._near(one.losses, lowest, now)
+            one
+            for one in near
+            if not one.family.members and self.evidence.near(one.losses, lowest, now)
         ]
-        alternatives += [_Candidate(one.family, "", one.losses) for one in lawless]
-        weak = not self._falls(now, fitted.losses, SURE)
+        alternatives += [Candidate(one.family, "", one.losses) for one in lawless]
+        weak = not self.evidence.falls(now, fitted.losses, SURE)
         names = tuple(filter(None, (best.name, second)))
-        return _Found(
+        return FoundLaw(
             best.family,
             names,
             fitted,
@@ -446,20 +432,23 @@ class _Search:
             more=more,
         )
 
-    def _law(self, names: Sequence[str], found: Sequence[_Found]) -> FittedLaw:
-        if not found:
+    def _law(
+        self, names: Sequence[str], found: Sequence[FoundLaw], start: FittedLaw | None = None
+    ) -> FittedLaw:
+        """Fit a chain from the numbers of `start`, or of the laws found before."""
+        if not found and start is None:
             return self.fit.scanned(law(names, self.seen.drive), {})
-        last = found[-1].fitted
+        last = start or found[-1].fitted
         return self.fit.scanned(law(names, self.seen.drive, self._apart(last)), last.numbers)
 
-    def _paired(self, one: _Candidate) -> tuple[FittedLaw, str, bool]:
+    def _paired(self, one: Candidate) -> tuple[FittedLaw, str, bool]:
         """Return the law with a second member of its family if that explains the remainder.
 
         The pair must explain nearly all of the first law's remainder. The last value is whether a
         second member explains a good part of it, so the form of the law alone is not right.
         """
         fitted = one.law
-        left = float(fitted.losses.sum()) - self.frames * self.floor
+        left = self.evidence.above(fitted.losses)
         best, second, more = fitted, "", False
         for member in one.family.members:
             if member in fitted.law.names:
@@ -469,10 +458,10 @@ class _Search:
                 fitted.numbers,
             )
             fall = float((fitted.losses - both.losses).sum())
-            more = more or self._falls(fitted.losses, both.losses, SURE)
+            more = more or self.evidence.falls(fitted.losses, both.losses, SURE)
             if (
                 fall > PAIR * left
-                and self._falls(fitted.losses, both.losses, LATER)
+                and self.evidence.falls(fitted.losses, both.losses, LATER)
                 and both.losses.sum() < best.losses.sum()
             ):
                 best, second = both, member
@@ -483,7 +472,7 @@ class _Search:
         """Return the effects that have a number per channel in a law."""
         return sorted({label.split(".")[0] for label in fitted.law.labels if "[" in label})
 
-    def _each(self, candidate: _Candidate, asked: bool = True) -> _Candidate:
+    def _each(self, candidate: Candidate, asked: bool = True) -> Candidate:
         """Return a law with a number per channel of its newest effect, if the evidence requires it.
 
         Without `asked`, a lower loss is sufficient.
@@ -504,14 +493,14 @@ class _Search:
         )
         most = not asked or (better.losses < fitted.losses).mean() >= MOST_FOLDS
         return (
-            _Candidate(candidate.family, name, better.losses, better)
+            Candidate(candidate.family, name, better.losses, better)
             if enough and most
             else candidate
         )
 
     # --- evidence --------------------------------------------------------------------------------
 
-    def _signals_alongside(self, family: Family, found: Sequence[_Found]) -> Floats:
+    def _signals_alongside(self, family: Family, found: Sequence[FoundLaw]) -> Floats:
         """Return a family's columns (n, J): signals about effective commands, and powers."""
         parts = []
         middle, half = self.seen.drive.middle, self.seen.drive.half
@@ -522,83 +511,48 @@ class _Search:
             parts.append(np.concatenate([z**power for power in range(1, powers + 1)], axis=1))
         return np.concatenate(parts)
 
-    def _falls(self, before: Floats, after: Floats, share: float) -> bool:
-        """Whether a loss falls clearly, in most folds, by enough of it, and visibly."""
-        fall, above = before - after, float(before.sum()) - self.frames * self.floor
-        enough = max(LEAST * float(before.sum()), share * max(above, 0.0), standard_error(fall))
-        markers = self.seen.markers.shape[1]
-        moved = np.sqrt(
-            max(float(fall.sum()), 0.0) / (self.frames * len(self.static.targets) * markers)
-        )
-        length = float(np.linalg.norm(self.seen.markers, axis=2).mean(axis=0).max())
-        most = float((fall > FALL * before).mean()) >= MOST_FOLDS
-        return float(fall.sum()) > enough and most and moved > VISIBLE * length
-
-    @staticmethod
-    def _near(one: Floats, best: Floats, before: Floats) -> bool:
-        """Whether a held-out loss equals the best, within its error and form tolerance."""
-        behind = one - best
-        if behind.sum() <= FORM * float((before - best).sum()):
-            return True
-        decided = len(behind) >= FOLDS_THAT_AGREE and float((behind > 0).mean()) >= AGREE
-        return float(behind.sum()) <= standard_error(behind) and not decided
-
-    def _noise(self) -> float:
-        """Return the variance of a target, mm², from its third differences between frames.
-
-        It is the part that no map can explain.
-        """
-        residual = self.static.residual(self.seen.drive.commanded)
-        if len(residual) < 8:
-            return 0.0
-        square = (np.diff(residual, n=3, axis=0) ** 2).mean(axis=1)
-        # 1 + 9 + 9 + 1; corners at reversals are few, so the median
-        return float(np.median(square)) / 20.0
-
     # --- report -----------------------------------------------------------------------------------
 
-    def _rms(self, losses: Floats) -> float:
-        return float(
-            np.sqrt(
-                losses.sum() / (self.frames * len(self.static.targets) * self.seen.markers.shape[1])
-            )
-        )
-
-    def _only_seen(self, near: Sequence[_Represented], now: Floats, forbidden: bool) -> None:
+    def _only_seen(self, near: Sequence[Represented], now: Floats, forbidden: bool) -> None:
         """Report families that the run shows, but whose law does not join the chain."""
-        names, after = " or ".join(one.family.name for one in near), self._rms(near[0].losses)
+        names, after = (
+            " or ".join(one.family.name for one in near),
+            self.evidence.rms(near[0].losses),
+        )
         drifts = any(one.family.name == DRIFT for one in near)  # possibly of the camera
-        if not forbidden and not drifts and self._falls(now, near[0].losses, SURE):
+        if not forbidden and not drifts and self.evidence.falls(now, near[0].losses, SURE):
             first, *others = (
-                Alternative("", one.family.name, self._rms(one.losses)) for one in near
+                Alternative("", one.family.name, self.evidence.rms(one.losses)) for one in near
             )
             self.unknown = (
-                LearnedIn("", first.family, "unknown", self._rms(now), after, (), tuple(others)),
+                LearnedIn(
+                    "", first.family, "unknown", self.evidence.rms(now), after, (), tuple(others)
+                ),
             )
             return
         why = (
             "is left to the diagnosis" if forbidden else "has no law in the library that reaches it"
         )
         self.notes.append(
-            f"the run shows {names} besides the static map (held-out error {self._rms(now):.2f} "
+            f"the run shows {names} besides the static map (held-out error {self.evidence.rms(now):.2f} "
             f"to {after:.2f} mm RMS), which {why}: it is not in the model"
         )
 
-    def _memory(self, found: Sequence[_Found], noise: float) -> Memory:
+    def _memory(self, found: Sequence[FoundLaw], noise: float) -> Memory:
         last = found[-1].fitted
         numbers = self.fit.fitted_numbers(last)
         unexplained, above = (
-            float(losses.sum()) - self.frames * self.floor
-            for losses in (last.losses, found[0].before)
+            self.evidence.above(losses) for losses in (last.losses, found[0].before)
         )
         records = []
         for one in (replace(one, rest=unexplained > SURE * above) for one in found):
             others = tuple(
-                Alternative(o.name, o.family.name, self._rms(o.losses)) for o in one.alternatives
+                Alternative(o.name, o.family.name, self.evidence.rms(o.losses))
+                for o in one.alternatives
             )
-            before, after = self._rms(one.before), self._rms(one.fitted.losses)
+            before, after = self.evidence.rms(one.before), self.evidence.rms(one.fitted.losses)
             for name in one.names:
-                twins = tuple(Alternative(twin, one.family.name, after) for twin in _twins(name))
+                alike = tuple(Alternative(twin, one.family.name, after) for twin in twins(name))
                 params = tuple(
                     number for label, number in numbers.items() if label.startswith(f"{name}.")
                 )
@@ -610,22 +564,12 @@ class _Search:
                         before,
                         after,
                         params,
-                        (*others, *twins),
+                        (*others, *alike),
                     )
                 )
         return Memory(
             last.law.names, last.params, (*records, *self.unknown), noise, tuple(self.notes)
         )
-
-
-def _numbers(fitted: FittedLaw) -> int:
-    """Return how many numbers a law has; those for each channel count as one."""
-    return len({label.partition("[")[0] for label in fitted.law.labels})
-
-
-def _twins(name: str) -> list[str]:
-    """Return the effects that no run can distinguish from the effect `name`."""
-    return [info.name for info in registry().values() if info.alike.get(name) == "never"]
 
 
 def refined_memory(memory: Memory, seen: ReferenceFrames, static: StaticMap, seed: int) -> Memory:

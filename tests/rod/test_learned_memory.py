@@ -26,7 +26,7 @@ from recorded_arms import (
 from softmap_edge import Run, learn_model, load_bundle, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.model.basis import Basis
-from softmap_edge.rod import memory
+from softmap_edge.rod import found_law, memory
 from softmap_edge.rod.covered_folds import search_folds
 from softmap_edge.rod.learn import learn, learned_model
 from softmap_edge.rod.reference_run import observe
@@ -119,6 +119,20 @@ def test_the_form_of_the_map_is_chosen_with_the_memory_in_place(law, seed, secon
     """
     first = learn(slackened(law, seed, seconds)).learned_in[0]
     assert (first.name, first.law) == (name, "identified")
+
+
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
+def test_two_laws_are_found_together_where_one_stands_in_for_both(seed):
+    """Friction in the sheath and a late camera: backlash alone fits better than either."""
+
+    def late_and_rough(u):
+        rough = growing_play(u, 0.12, 2.0)
+        return np.concatenate([np.repeat(rough[:1], 6, axis=0), rough[:-6]])
+
+    found = learn(slackened(late_and_rough, seed, 80.0, slack=1.5)).learned_in
+    assert {one.name for one in found} == {"friction", "latency"}
+    late = next(number for one in found for number in one.params if "delay" in number.label)
+    assert late.value == pytest.approx(0.12, rel=0.2)
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -416,9 +430,9 @@ def certain(labels, other_labels=(), more=False):
         fitted(other_labels, 49.0),
     )
     others = (
-        (memory._Candidate(family, "lag", second.losses[::-1], second),) if other_labels else ()
+        (found_law.Candidate(family, "lag", second.losses[::-1], second),) if other_labels else ()
     )
-    return memory._Found(
+    return found_law.FoundLaw(
         family, ("latency",), first, np.full(8, 50.0), others, False, False, more
     ).certainty
 
