@@ -20,7 +20,7 @@ diagnosis comparison calibration sweep synthetic
 robot checks fem rod alignment
 model logs noise
 run
-files geometry
+files geometry web
 errors version
 """
 LAYERS_OF_ROBOT = """
