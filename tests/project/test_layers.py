@@ -15,7 +15,7 @@ PACKAGE = Path(__file__).parents[2] / "softmap_edge"
 LAYERS = """
 cli
 commands
-report experiment adaptation
+report experiment adaptation lab
 diagnosis comparison calibration sweep synthetic
 robot checks fem rod alignment
 model logs noise
