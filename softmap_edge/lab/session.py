@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from softmap_edge import _core
+from softmap_edge.checks.lost_points import without_lost
 from softmap_edge.checks.summary import summary
 from softmap_edge.comparison.comparison import compare, model_digest
 from softmap_edge.diagnosis.diagnose import diagnose, refit
@@ -84,6 +85,7 @@ class Session:
         self._checked: Checked | None = None
         self._views: dict[int, View] = {}
         self._after: dict[int, Prediction] = {}
+        self._revision = 0  # of the views: a check may hide points
         self._comparisons: dict[tuple[int, str], Document] = {}
         try:
             self.model = self._replayed()
@@ -124,6 +126,7 @@ class Session:
                     "faults": list(checked.faults) if here and checked else [],
                     "remarks": list(checked.remarks) if here and checked else [],
                 },
+                "revision": self._revision,
                 "diagnosis_current": state.diagnosed_for == self.key,
                 "accepted": [_plain(step) for step in state.accepted],
                 "undone": [_plain(step) for step in state.undone],
@@ -216,9 +219,11 @@ class Session:
     def check(self) -> Checked:
         """Check all runs with the present model, as `softmap check` does."""
         key, model, faults, remarks = self.key, self.model, list[str](), list[str]()
-        for one in self.runs:
+        for number, one in enumerate(self.runs):
             try:
                 found = summary(one.run, model)
+                if found["not_seen"]:
+                    self._hide_lost(number)
                 lines = [*found["not_seen"], *filter(None, [found["unanswered"]])]
                 faults += [f"{one.name}: {line}" for line in lines]
                 remarks += [f"{one.name}: {line}" for line in found["warnings"]]
@@ -228,6 +233,15 @@ class Session:
         with self._lock:
             self._checked = Checked(key, tuple(faults), tuple(remarks))
             return self._checked
+
+    def _hide_lost(self, number: int) -> None:
+        """Hide points that stand for "not seen", as a comparison does; the search takes seconds."""
+        run, _ = without_lost(self.runs[number].run)
+        with self._lock:
+            if number not in self._views or self._views[number].run is not run:
+                self._views[number] = view_of(self._base, run)
+                self._after.pop(number, None)
+                self._revision += 1
 
     def _passed(self, what: str) -> None:
         if self._checked is None or self._checked.key != self.key:

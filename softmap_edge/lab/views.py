@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.checks.lost_points import without_lost
 from softmap_edge.comparison.comparison import TIMED, aligned, template, tips
 from softmap_edge.comparison.series import tip_loops
 from softmap_edge.errors import LabError
@@ -57,16 +56,15 @@ class View:
     sample: NDArray[np.int64]  # indices of at most TRY_FRAMES frames
 
 
-def view_of(model: Model, recorded: Run) -> View:
-    """Return the view of a run.
+def view_of(model: Model, run: Run) -> View:
+    """Return the view of a run, with all points that it marks as visible.
 
     Raises:
         LabError: the run holds outputs and no points.
         SoftmapError: prediction and measurement do not match.
     """
-    if recorded.output is not None:
+    if run.output is not None:
         raise LabError("the lab shows points; this run holds outputs: use `softmap compare`")
-    run, _ = without_lost(recorded)
     predicted, seen, visible = aligned(model, run)
     markers = model.markers or len(model.rest) != seen.shape[1]
     labels = np.arange(seen.shape[1]) if markers else np.asarray(model.sections)

@@ -104,7 +104,7 @@ def test_without_the_token_nothing_but_the_static_files_is_served(tmp_path):
             assert refused.value.response.status_code == 403
 
 
-def test_the_files_are_there_small_and_load_nothing_from_elsewhere():
+def test_the_files_are_there_small_and_load_nothing_from_another_place():
     assert {file.name for file in PAGE.iterdir()} == set(labs.SERVED.values())
     assert sum(file.stat().st_size for file in PAGE.iterdir()) < 1_000_000
     for file in PAGE.iterdir():

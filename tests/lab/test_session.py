@@ -17,7 +17,7 @@ HASH = "0" * 64
 INPUTS = as_inputs([("run.npz", HASH)], (None, HASH))
 
 
-def test_steps_are_undone_redone_and_read_again(tmp_path):
+def test_steps_are_taken_back_redone_and_read_again(tmp_path):
     first = session(tmp_path / "lab")
     first.check()
     first.accept(["backlash"], HIDDEN)

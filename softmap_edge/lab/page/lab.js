@@ -50,8 +50,8 @@ function changed(told) {
   $("redo").disabled = !state.undone.length || Boolean(state.busy);
   showCheck();
   steps.setState(state);
-  const steps0 = JSON.stringify(before && before.accepted), steps1 = JSON.stringify(state.accepted);
-  if (!run || steps0 !== steps1) load(number); else say(ready());
+  const shown = one => JSON.stringify(one && [one.accepted, one.revision]);
+  if (!run || shown(before) !== shown(state)) load(number); else say(ready());
   check();
 }
 
@@ -145,7 +145,7 @@ function go(to) {
   steps.moved();
 }
 
-function refresh() {
+function refresh(afresh = false) {
   if (!run) return;
   $("time").value = frame;
   $("time").setAttribute("aria-valuetext", when(frame));
@@ -156,7 +156,7 @@ function refresh() {
   const chosen = mask ? mask.reduce((a, b) => a + b, 0) : 0;
   $("selection").textContent = mask ? `${chosen} of ${run.frames} frames selected (${maskWords}): ${mm(run.rms(run.newest, k => mask[k]))} mm RMS` : `All ${run.frames} frames: ${mm(run.rms(run.newest, () => true))} mm RMS. Drag over a plot to select frames.`;
   $("clear").disabled = !mask;
-  if (tab === "where" && !playing) where.show(mask, frame);
+  if (tab === "where" && !playing) where.show(mask, frame, afresh);
   fetchShape();
 }
 
@@ -212,9 +212,7 @@ function select(chosen, words) {
   mask = chosen && chosen.some(Boolean) ? chosen : null;
   maskWords = words;
   timeline.span = null;
-  if (where && mask === null) where.show(null, frame);
   refresh();
-  if (tab !== "where" && where) where.show(mask, frame);
 }
 
 function open(name, focus = false) {
@@ -225,7 +223,7 @@ function open(name, focus = false) {
     $(`tab-${one}`).tabIndex = one === name ? 0 : -1;
   }
   if (focus) $(`tab-${name}`).focus();
-  refresh();
+  refresh(true);
   steps.draw();
 }
 for (const name of TABS) {
@@ -247,5 +245,5 @@ addEventListener("keydown", event => { if (event.key === "Escape" && run) select
 for (const id of ["show-seen", "show-before", "show-after", "show-trial"]) $(id).addEventListener("change", draw);
 for (const [id, what] of [["check", "check"], ["undo", "undo"], ["redo", "redo"]]) $(id).addEventListener("click", () => ask(what).catch(failed));
 let resized = 0;
-addEventListener("resize", () => { cancelAnimationFrame(resized); resized = requestAnimationFrame(() => { refresh(); steps.draw(); }); });
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { refresh(); draw(); steps.draw(); });
+addEventListener("resize", () => { cancelAnimationFrame(resized); resized = requestAnimationFrame(() => { refresh(true); steps.draw(); }); });
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { refresh(true); draw(); steps.draw(); });

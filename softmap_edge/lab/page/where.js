@@ -93,8 +93,11 @@ export class Where {
       part: chosen ? run.rms(run.newest, k => chosen[k] && inside(k), section) : NaN };
   }
 
-  show(chosen, frame) {
+  /** Draw the plots; bars change with the selection only, or when drawn `afresh`. */
+  show(chosen, frame, afresh = false) {
+    const same = this.shown === chosen && !afresh;
+    this.shown = chosen;
     if (!chosen) for (const { plot } of this.plots) { if (plot.chosen) plot.chosen = [0, -1]; else plot.box = null; }
-    for (const { show } of this.plots) show(chosen, frame);
+    for (const { plot, show } of this.plots) if (!same || plot instanceof Scatter) show(chosen, frame);
   }
 }
