@@ -36,6 +36,7 @@ KEYS: dict[str, tuple[str, ...]] = {
     "fit": ("effects", "params"),
     "accept": ("effects", "params"),
     "accept_diagnosis": (),
+    "experiments": (),
     "undo": (),
     "redo": (),
 }

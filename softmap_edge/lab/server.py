@@ -186,6 +186,8 @@ class LabServer:
                 return binary(re | {"rms_mm": error}, arrays)
             case "fit":
                 return text(re | {"fit": session.fit(request.effects, request.params)})
+            case "experiments":
+                return text(re | {"experiments": session.experiments()})
             case "check":
                 session.check()
             case "diagnose":

@@ -23,6 +23,7 @@ from softmap_edge.comparison.comparison import compare, model_digest
 from softmap_edge.diagnosis.diagnose import diagnose, refit
 from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.errors import LabError, SoftmapError
+from softmap_edge.experiment.choose import next_experiment
 from softmap_edge.files.atomic import Document, write_atomically
 from softmap_edge.files.printable import one_line
 from softmap_edge.lab.journal import MODEL, Journal, Step, accepted_line, as_inputs
@@ -260,6 +261,15 @@ class Session:
             text = json.dumps(found.to_dict(), indent=1)
             write_atomically(self.journal.folder / file, text)
             self.journal.append({"do": "diagnosed", "file": file, "inputs": key})
+
+    def experiments(self) -> list[Document]:
+        """Simulate what to record next for the open questions of the present diagnosis."""
+        state = self.journal.state
+        if state.diagnosed is None or state.diagnosed_for != self.key:
+            raise LabError("experiments need a diagnosis of these runs and this model first")
+        found = Diagnosis.load(self.journal.folder / state.diagnosed)
+        blocks = next_experiment(self.model, found, [self.runs[0].run])
+        return [one.to_dict() | {"alone": one.alone} for one in blocks]
 
     # --- add --------------------------------------------------------------------------------
 

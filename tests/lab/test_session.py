@@ -70,7 +70,11 @@ def test_a_diagnosis_is_kept_and_its_effects_are_accepted(tmp_path):
     lab.diagnose(lambda line: None)
     assert lab.document()["diagnosis_current"]
     assert [one["name"] for one in lab.diagnosis()["effects"]] == ["backlash"]
+    rows = lab.experiments()
+    assert rows and all({"block", "minutes", "settles", "separation"} <= set(row) for row in rows)
     lab.accept_diagnosis()
+    with pytest.raises(LabError, match="experiments need a diagnosis"):
+        lab.experiments()
     assert not lab.document()["diagnosis_current"]
     params = lab.model.params
     lab.close()

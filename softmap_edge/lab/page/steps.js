@@ -33,6 +33,7 @@ export class Steps {
     $("reset").addEventListener("click", () => this.reset());
     $("fit").addEventListener("click", () => this.fit());
     $("accept").addEventListener("click", () => this.accept());
+    $("simulate").addEventListener("click", () => this.simulate());
     $("diagnose").addEventListener("click", () => this.diagnose());
   }
 
@@ -60,6 +61,8 @@ export class Steps {
     $("diagnose").title = passed ? "" : "Needs a check that passes for these runs and this model (step 1)";
     if (!passed && !state.busy) $("progress").textContent = "Needs a check that passes for these runs and this model: open step 1.";
     else if (passed) $("progress").textContent = state.diagnosis_current ? "Diagnosis of these runs and this model." : "Takes a minute or less for a run of a few minutes.";
+    $("simulate").disabled = !state.diagnosis_current || Boolean(state.busy);
+    $("simulated").textContent = state.diagnosis_current ? "" : "Needs a diagnosis of these runs and this model: open step 3.";
     if (accepted(before) !== accepted(state)) this.reset();
     else this.buttons();
     if (!before || JSON.stringify(before) !== JSON.stringify(state)) ask("diagnosis").then(told => { this.diagnosis = told.diagnosis; this.found(); }, fault => this.page.say(fault.message, true));
@@ -106,9 +109,23 @@ export class Steps {
     if (d.alternatives.length) root.append(make("h2", "Alternatives that these data do not exclude"), table(["instead of", "alternative", "why"], d.alternatives.map(one => [one.member, one.effects.join(", "), one.why])));
     if (d.not_testable.length) root.append(make("h2", "What these runs cannot identify"), table(["effect", "why", "what to record"], d.not_testable.map(one => [one.name, one.why, one.experiment ? `${one.experiment} (${number(one.minutes)} min)` : "–"])));
     if (d.remarks?.length) { const list = make("ul"); list.append(...d.remarks.map(line => make("li", line))); root.append(make("h2", "Remarks on the run"), list); }
-    $("experiments").append(d.next.length ? table(["experiment", "minutes", "settles", "separation (chi²)"], d.next.map(one => [one.block, number(one.minutes), one.settles.join(", ") || "–", one.separation === null ? "not simulated" : number(one.separation)]))
-      : make("p", "Nothing is open: the diagnosis proposes no experiment.", { className: "hint" }), make("p", "Separation is the expected chi² difference between the hypotheses; 25 or more is decisive. `softmap next` writes the command file.", { className: "hint" }));
+    this.experiments(d.next);
     this.draw();
+  }
+
+  experiments(rows) {
+    $("experiments").replaceChildren(rows.length ? table(["experiment", "minutes", "settles", "separation (chi²)"], rows.map(one => [one.block + (one.alone || ""), number(one.minutes), one.settles.join(", ") || "–", one.separation === null ? "not simulated" : number(one.separation)]))
+      : make("p", "Nothing is open: the diagnosis proposes no experiment.", { className: "hint" }), make("p", "Separation is the expected chi² difference between the hypotheses; 25 or more is decisive. The command softmap next writes the file that a robot plays.", { className: "hint" }));
+  }
+
+  async simulate() {
+    $("simulate").disabled = true;
+    $("simulated").textContent = "Simulating …";
+    try {
+      this.experiments((await ask("experiments")).experiments);
+      $("simulated").textContent = "Simulated for the present diagnosis.";
+    } catch (fault) { $("simulated").textContent = fault.message; }
+    $("simulate").disabled = !this.state.diagnosis_current || Boolean(this.state.busy);
   }
 
   // --- add -----------------------------------------------------------------------------------
