@@ -69,13 +69,19 @@ class Session:
         bundle: path of its bundle, None for the built-in finger.
 
     Raises:
-        LabError: as `journal.Journal`, or a step of the journal does not fit the model.
+        LabError: as `journal.Journal`, a run holds no points, or a step of the journal does not
+            fit the model.
     """
 
     def __init__(
         self, folder: str | Path, runs: Sequence[NamedRun], model: Model, bundle: str | None
     ) -> None:
         self.runs, self.bundle, self._base = tuple(runs), bundle, model
+        if outputs := [one.name for one in runs if one.run.output is not None]:
+            raise LabError(
+                f"{outputs[0]}: the lab shows points, and this run holds outputs; use `softmap "
+                "compare`"
+            )
         self._lock = threading.RLock()
         self._digest = [one.run.hash() for one in runs]
         inputs = as_inputs(

@@ -5,13 +5,16 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from lab_runs import HIDDEN, measured, session
 
-from softmap_edge import compare, load_bundle
+from softmap_edge import Run, compare, load_bundle
 from softmap_edge.errors import LabError
 from softmap_edge.lab.journal import JOURNAL, MODEL, Journal, as_inputs, read_inputs
+from softmap_edge.lab.views import rms_of
 
 HASH = "0" * 64
 INPUTS = as_inputs([("run.npz", HASH)], (None, HASH))
@@ -60,6 +63,31 @@ def test_a_step_needs_a_check_of_exactly_these_inputs(tmp_path):
     with pytest.raises(LabError, match="no effect 'nonsense'"):
         lab.with_effects(["nonsense"], {})
     lab.close()
+
+
+def test_points_that_stand_for_not_seen_fail_the_check_and_are_hidden(tmp_path):
+    run = measured()
+    points = run.vertices.copy()
+    points[40:60, 100] = 0.0
+    lab = session(tmp_path / "lab", replace(run, vertices=points))
+    wrong = rms_of(lab.view(0)[0].before, lab.view(0)[0])
+    lab.check()
+    document, view = lab.document(), lab.view(0)[0]
+    assert document["check"]["state"] == "failed" and document["revision"] == 1
+    assert not view.visible[50, 100] and rms_of(view.before, view) < wrong
+    expected = compare(lab.model, lab.runs[0].run).error["rms_mm"]
+    assert rms_of(view.before, view) == pytest.approx(expected, rel=1e-5)
+    with pytest.raises(LabError, match="needs a check that passes"):
+        lab.diagnose(print)
+    lab.close()
+
+
+def test_a_run_of_outputs_is_refused(tmp_path):
+    t = np.arange(0.0, 5.0, 0.1)
+    levels = Run.of_outputs(np.sin(t)[:, None], "V", t_seen=t, t=t, command=np.zeros((50, 2)))
+    with pytest.raises(LabError, match="holds outputs; use `softmap compare`"):
+        session(tmp_path / "lab", levels)
+    assert not (tmp_path / "lab").exists()
 
 
 def test_a_diagnosis_is_kept_and_its_effects_are_accepted(tmp_path):

@@ -113,8 +113,8 @@ export class Steps {
     this.draw();
   }
 
-  experiments(rows) {
-    $("experiments").replaceChildren(rows.length ? table(["experiment", "minutes", "settles", "separation (chi²)"], rows.map(one => [one.block + (one.alone || ""), number(one.minutes), one.settles.join(", ") || "–", one.separation === null ? "not simulated" : number(one.separation)]))
+  experiments(rows, none = "not simulated") {
+    $("experiments").replaceChildren(rows.length ? table(["experiment", "minutes", "settles", "separation (chi²)"], rows.map(one => [one.block + (one.alone || ""), number(one.minutes), one.settles.join(", ") || "–", one.separation === null ? none : number(one.separation)]))
       : make("p", "Nothing is open: the diagnosis proposes no experiment.", { className: "hint" }), make("p", "Separation is the expected chi² difference between the hypotheses; 25 or more is decisive. The command softmap next writes the file that a robot plays.", { className: "hint" }));
   }
 
@@ -122,7 +122,7 @@ export class Steps {
     $("simulate").disabled = true;
     $("simulated").textContent = "Simulating …";
     try {
-      this.experiments((await ask("experiments")).experiments);
+      this.experiments((await ask("experiments")).experiments, "no simulated block settles it");
       $("simulated").textContent = "Simulated for the present diagnosis.";
     } catch (fault) { $("simulated").textContent = fault.message; }
     $("simulate").disabled = !this.state.diagnosis_current || Boolean(this.state.busy);
