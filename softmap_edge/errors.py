@@ -174,6 +174,10 @@ class TeleopError(SoftmapError):
     """Camera, hand or landmarks are unavailable, or a package of teleoperation is absent."""
 
 
+class LabError(SoftmapError):
+    """A session of the lab cannot be opened, or a request of its page is not valid."""
+
+
 class LinkError(SoftmapError):
     """A key, an address or a datagram between two programs is not usable."""
 

@@ -187,6 +187,14 @@ COMMANDS: list[Command] = [
         ("compare run.npz --bundle model", "compare run.npz --bundle model --html page.html"),
     ),
     Command(
+        "lab",
+        UNDERSTAND,
+        "a page: see where a model fails, add what is missing",
+        f"{_HERE}.lab",
+        "lab",
+        ("lab", "lab run.npz other.npz --bundle model --folder session"),
+    ),
+    Command(
         "diagnose",
         UNDERSTAND,
         "identify the missing family of effects, and its law",

@@ -208,7 +208,7 @@ def compare(model: Model, run: Run) -> Comparison:
         bundle={
             "robot": model.robot,
             "effects": list(model.chain_names),
-            "sha256": _model_digest(model),
+            "sha256": model_digest(model),
         },
         frames=len(seen),
         error=error,
@@ -362,7 +362,7 @@ def template(model: Model, seen: Floats) -> Floats | None:
     return np.asarray(model.rest, float) if complete else None
 
 
-def _model_digest(model: Model) -> str:
+def model_digest(model: Model) -> str:
     """A hash of the model.
 
     It covers the arrays of prior and fields, template, chain, parameters and calibration.

@@ -16,12 +16,12 @@ LAYERS = """
 __main__
 cli
 commands
-report experiment adaptation
+report experiment adaptation lab
 diagnosis comparison calibration sweep synthetic
 robot checks fem rod alignment
 model logs noise
 run
-files geometry
+files geometry web
 errors version
 """
 LAYERS_OF_ROBOT = """

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from softmap_edge.lab.server import SERVED as LAB_SERVED
 from softmap_edge.report.pages import TEMPLATES
 from softmap_edge.robot.teleop.page import SERVED
 
@@ -47,7 +48,8 @@ def test_it_asks_for_its_base_alone_and_holds_what_runs(wheel):
     assert always == BASE and not any("torch" in line for line in asked)
     folders = {name.split("/")[0] for name in names}
     assert {name for name in folders if ".dist-info" not in name} == {"softmap_edge"}
-    pages = {f"softmap_edge/robot/teleop/{name}" for name, _ in SERVED.values()}
+    pages = {f"softmap_edge/robot/teleop/{name}" for name in SERVED.values()}
+    pages |= {f"softmap_edge/lab/page/{name}" for name in LAB_SERVED.values()}
     pages |= {f"softmap_edge/report/templates/{file.name}" for file in TEMPLATES.iterdir()}
     assert {"softmap_edge/data/finger/manifest.json", "softmap_edge/py.typed", *pages} <= set(names)
 

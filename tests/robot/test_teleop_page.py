@@ -422,4 +422,4 @@ def test_binary_messages_are_points_and_pictures():
 
 def test_the_pages_files_are_where_they_are_served_from():
     folder = Path(pages.__file__).parent
-    assert all((folder / name).is_file() for name, _ in pages.SERVED.values())
+    assert all((folder / name).is_file() for name in pages.SERVED.values())

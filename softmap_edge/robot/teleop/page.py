@@ -1,11 +1,7 @@
 """The browser page: camera image, hand, finger and guard state; keyboard, mouse and enable key.
 
-The page is served from this package by `websockets` (BSD), whose threaded server needs no event
-loop next to the driving loop. Anyone with the link can drive. The link carries a random token in
-its fragment (`#`), which browsers never send to a server; every connection must present it. The
-Host header must be an address or localhost, so DNS-rebinding requests are rejected. The Origin
-header must be this page. One page drives at a time, others watch; its key lapses as in
-`keys.HeldKey`.
+The page is served by `softmap_edge.web.server`. Anyone with the link can drive. One page drives at
+a time, others watch; its key lapses as in `keys.HeldKey`.
 
 Nothing is queued: a page receives the newest state after it has drawn the previous one. The page
 echoes the number of each state, so the server knows the maximum age of a message, even if the
@@ -16,22 +12,16 @@ the enable key. Pinned by tests/robot/test_teleop_page.py.
 from __future__ import annotations
 
 import contextlib
-import hmac
 import importlib
-import ipaddress
 import json
-import logging
 import math
-import secrets
 import struct
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from importlib.resources import files
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
-from urllib.parse import parse_qs, urlsplit
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,9 +29,9 @@ from numpy.typing import NDArray
 from softmap_edge.errors import TeleopError
 from softmap_edge.files.atomic import Document
 from softmap_edge.robot.teleop.keys import PRIORITY, Controls, HeldKey, Source, Wish
+from softmap_edge.web.server import Server, Site
 
 if TYPE_CHECKING:
-    from websockets.http11 import Request, Response
     from websockets.sync.server import ServerConnection
 
 Floats = NDArray[np.float64]
@@ -56,19 +46,12 @@ TOKEN_WITHIN = 5.0  # s within which a connection must present its token
 MAX_AGE = 0.25  # s: an older message does not hold the key
 ECHOES = 64  # echoed states from which the offset of a page's clock is estimated
 JPEG = 70  # JPEG quality, of 100: 25 kB per frame
+FOLDER = "robot/teleop"
 SERVED = {
-    "/": ("page.html", "text/html; charset=utf-8"),
-    "/page.js": ("page.js", "text/javascript; charset=utf-8"),
-    "/page_drawing.js": ("page_drawing.js", "text/javascript; charset=utf-8"),
-    "/page.css": ("page.css", "text/css; charset=utf-8"),
-}
-HEADERS = {
-    "Cache-Control": "no-store",
-    "Cross-Origin-Opener-Policy": "same-origin",
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "Referrer-Policy": "no-referrer",
-    "X-Content-Type-Options": "nosniff",
-    "X-Frame-Options": "DENY",
+    "/": "page.html",
+    "/page.js": "page.js",
+    "/page_drawing.js": "page_drawing.js",
+    "/page.css": "page.css",
 }
 PICTURE, POINTS = 1, 2  # kinds of binary messages: kind, number, then a JPEG or float32 (N, 3) mm
 
@@ -90,15 +73,7 @@ class Page:
     name = "the page"
 
     def __init__(self, port: int = PORT, host: str = "127.0.0.1", source: Source = "knob") -> None:
-        if not 0 <= port <= 65535:
-            raise TeleopError(f"page: port {port}; ports are 1 to 65535, 0 takes any that is free")
-        try:
-            server = importlib.import_module("websockets.sync.server")
-        except ImportError:
-            raise TeleopError(
-                "page: websockets is not installed; run pip install websockets, or give --page none"
-            ) from None
-        self._token, self._source = secrets.token_urlsafe(24), source
+        self._source: Source = source
         self._key, self._wish, self._knob, self._rest = HeldKey(), Wish(), (0.0, 0.0), (0.0, 0.0)
         self._driver: object | None = None
         self._pages: set[object] = set()
@@ -106,37 +81,22 @@ class Page:
         self._hello: Document = {}
         self._view: View | None = None
         self._encoded: tuple[int, bytes] = (-1, b"")
-        self._opening = threading.BoundedSemaphore(MOST_UNAUTHENTICATED)
-        quiet = logging.getLogger("softmap_edge.robot.teleop.page")
-        quiet.setLevel(logging.CRITICAL)  # a disconnected page is not worth a log entry
-        try:
-            self._server = server.serve(
-                self._serve,
-                host,
-                port,
-                process_request=self._request,
-                create_connection=_door(server.ServerConnection, self._opening),
-                open_timeout=TOKEN_WITHIN,
-                max_size=LONGEST,
-                max_queue=4,
-                compression=None,
-                server_header=None,
-                ping_interval=5,
-                ping_timeout=5,
-                close_timeout=1,
-                logger=quiet,
-            )
-        except OSError as fault:
-            raise TeleopError(
-                f"page: {host}:{port} cannot be used ({fault.strerror}); give another --page"
-            ) from None
-        self.port = int(self._server.socket.getsockname()[1])
-        shown = f"[{host}]" if ":" in host else host
-        self.url = f"http://{shown}:{self.port}/#{self._token}"
-        self._thread = threading.Thread(target=self._server.serve_forever, name="page", daemon=True)
+        site = Site(
+            FOLDER,
+            SERVED,
+            socket="/drive",
+            longest=LONGEST,
+            token_within=TOKEN_WITHIN,
+            most_unauthenticated=MOST_UNAUTHENTICATED,
+            error=TeleopError,
+            port_option="give another --page",
+            without=", or give --page none",
+        )
+        self._server = Server(site, port, host, self._serve, lambda: len(self._pages) >= MOST_PAGES)
+        self.port, self.url = self._server.port, self._server.url
 
     def __enter__(self) -> Self:
-        self._thread.start()
+        self._server.start()
         return self
 
     def __exit__(
@@ -145,8 +105,7 @@ class Page:
         fault: BaseException | None,
         at: TracebackType | None,
     ) -> None:
-        self._server.shutdown()
-        self._thread.join(3.0)
+        self._server.stop()
 
     # --- called by the driving thread ------------------------------------------------------
 
@@ -169,35 +128,7 @@ class Page:
         """Take the position of the finger; pages receive it."""
         self._rest = knob
 
-    # --- requests -----------------------------------------------------------------------
-
-    def _request(self, connection: ServerConnection, request: Request) -> Response | None:
-        """Serve a file, reject the request, or return None to accept a connection."""
-        host = request.headers.get_all("Host")
-        if len(host) != 1 or not _ours(host[0], self.port):
-            return _answer(
-                connection,
-                421,
-                b"this page is served under an address or localhost, not under this name\n",
-            )
-        try:
-            path = urlsplit(request.path)
-        except ValueError:
-            return _answer(connection, 404, b"there is no such page\n")
-        if path.path != "/drive":
-            if path.path not in SERVED or path.query:
-                return _answer(connection, 404, b"there is no such page\n")
-            name, kind = SERVED[path.path]
-            body = files("softmap_edge").joinpath("robot/teleop", name).read_bytes()
-            return _answer(connection, 200, body, kind, host[0])
-        if request.headers.get_all("Origin") != [f"http://{host[0]}"]:
-            return _answer(connection, 403, b"only the page itself may drive: wrong Origin\n")
-        token = parse_qs(path.query).get("token", [""])[-1]
-        if not hmac.compare_digest(token.encode(), self._token.encode()):
-            return _answer(connection, 403, b"wrong token; open the link that was printed\n")
-        if len(self._pages) >= MOST_PAGES:
-            return _answer(connection, 503, b"too many pages are open; close one\n")
-        return None
+    # --- connections --------------------------------------------------------------------
 
     def _serve(self, connection: ServerConnection) -> None:
         """Process the messages of a page; another thread sends to it."""
@@ -330,65 +261,6 @@ class _Link:
             self.shown = shown
         self.age = max(0.0, now - t - max(self._behind, default=-math.inf))
         return True
-
-
-def _door(connection: Any, opening: threading.BoundedSemaphore) -> Callable[..., object]:
-    """Return the connection class for websockets, which limits connections without a token."""
-
-    class Door(connection):  # type: ignore[misc]
-        def handshake(self, *how: object, **named: object) -> None:
-            try:
-                super().handshake(*how, **named)
-            finally:
-                opening.release()
-
-    def made(*how: object, **named: object) -> object:
-        if not opening.acquire(blocking=False):
-            # websockets closes the socket
-            raise ConnectionRefusedError("too many connections are being opened")
-        try:
-            return Door(*how, **named)
-        except BaseException:
-            opening.release()
-            raise
-
-    return made
-
-
-def _ours(host: str, port: int) -> bool:
-    """Return whether a Host header is an address or localhost (no DNS rebinding)."""
-    name, _, said = host.rpartition(":")
-    if said != str(port):
-        return False
-    if name == "localhost":
-        return True
-    try:
-        ipaddress.ip_address(name[1:-1] if name.startswith("[") and name.endswith("]") else name)
-    except ValueError:
-        return False
-    return True
-
-
-def _answer(
-    connection: ServerConnection,
-    status: int,
-    body: bytes,
-    kind: str = "text/plain",
-    host: str = "",
-) -> Response:
-    response = connection.respond(status, "")
-    response.body = body
-    for name in ("Content-Type", "Content-Length"):
-        del response.headers[name]
-    response.headers["Content-Type"], response.headers["Content-Length"] = kind, str(len(body))
-    connect = f"'self' ws://{host}" if host else "'self'"
-    response.headers["Content-Security-Policy"] = (
-        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; "
-        f"connect-src {connect}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-    )
-    for name, value in HEADERS.items():
-        response.headers[name] = value
-    return response
 
 
 def _read(message: str | bytes) -> Document | None:

@@ -1,0 +1,1 @@
+"""The lab: a page that shows where a model fails, and adds what is missing step by step."""
