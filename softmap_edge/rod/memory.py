@@ -56,9 +56,9 @@ Floats = NDArray[np.float64]
 FRAMES = 1500  # frames of a search; neighbouring frames are redundant
 FEW_CHANNELS = 3  # most channels for powers of signals; with more there are too few frames
 POWERS = 3
-# Shares of the loss above the noise: least explained by an identified or unknown law, and most left
-# in total, or to its family.
-SURE = 0.2
+# Shares of the loss above the noise: least explained by an identified or unknown law, most left to
+# its family or to a second law of it; most left in total, as in a diagnosis (decision.py).
+SURE, LEFT = 0.2, 0.1
 # of the best family's fall: a law that does not reach must explain more, or it replaces another
 PART = 0.6
 # of a law's remainder above the noise: a second law of its family with less is model-form error
@@ -545,7 +545,7 @@ class _Search:
             self.evidence.above(losses) for losses in (last.losses, found[0].before)
         )
         records = []
-        for one in (replace(one, rest=unexplained > SURE * above) for one in found):
+        for one in (replace(one, rest=unexplained > LEFT * above) for one in found):
             others = tuple(
                 Alternative(o.name, o.family.name, self.evidence.rms(o.losses))
                 for o in one.alternatives
