@@ -37,6 +37,9 @@ NAMES = {
     "long": "a" + "L" * 5000 + " and long" * 500,
     "quotes": "a\"b'c\\d<b onload=x>&",
 }
+NAMES["all at once"] = "".join(NAMES[kind] for kind in NAMES if kind != "long")
+FAST = ("all at once", "long")
+EVERY = [name if name in FAST else pytest.param(name, marks=pytest.mark.long) for name in NAMES]
 FEW = 40
 
 
@@ -206,7 +209,7 @@ command = { columns = ["nor this one"] }
 """
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", EVERY)
 @pytest.mark.parametrize("reader", READERS)
 def test_no_name_of_a_log_is_printed_as_it_is(reader, name, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -253,7 +256,7 @@ def fields_of(name):
     return replace(sound(), block=labels, extra=extra)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", EVERY)
 def test_no_name_within_a_run_is_printed_as_it_is(name, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     try:
@@ -271,7 +274,7 @@ def test_no_name_within_a_run_is_printed_as_it_is(name, tmp_path, capsys, monkey
     run_plain(capsys, "compare", "run.npz")
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", EVERY)
 @pytest.mark.parametrize("key", ["robot", "command_unit", "output_unit"])
 def test_no_text_of_a_run_is_printed_as_it_is(name, key, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -289,7 +292,7 @@ TABLES = {
 }
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", EVERY)
 @pytest.mark.parametrize("kind", TABLES)
 def test_no_key_or_text_of_a_toml_file_is_printed_as_it_is(
     kind, name, tmp_path, capsys, monkeypatch
@@ -321,7 +324,7 @@ def filled(value, name):
     return f"{value} {name}" if isinstance(value, str) else value
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", EVERY)
 def test_no_text_of_a_diagnosis_is_printed_or_shown_as_it_is(name, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     document = filled(DIAGNOSIS, NAMES[name])
@@ -342,7 +345,7 @@ def bundle(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", EVERY)
 def test_no_text_of_a_bundle_is_printed_as_it_is(name, bundle, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     sound().save("run.npz")
@@ -370,7 +373,7 @@ def test_no_text_of_a_bundle_is_printed_as_it_is(name, bundle, tmp_path, capsys,
             run_plain(capsys, *words)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", EVERY)
 def test_no_name_reaches_a_page_as_it_is(name, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     run, _, model, _, _ = compared()
@@ -383,7 +386,7 @@ def test_no_name_reaches_a_page_as_it_is(name, tmp_path, capsys, monkeypatch):
     assert "<b onload" not in text
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", EVERY)
 def test_a_warning_is_one_plain_line(name, capsys):
     def command():
         warnings.warn(SessionWarning(NAMES[name]), stacklevel=1)
