@@ -11,6 +11,7 @@ RUST := $(shell find rust -name '*.rs') Cargo.toml Cargo.lock rust/servo/Cargo.t
 
 demo: $(VENV)/.core
 	$(BIN)/softmap demo --out $(OUT)/demo
+	@echo 'The command softmap needs this first: source $(BIN)/activate'
 
 # The package and the command `softmap` in .venv, compiled again if a Rust file changed.
 build: $(VENV)/.core

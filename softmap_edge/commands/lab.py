@@ -17,7 +17,7 @@ from softmap_edge.lab.server import PORT, LabServer
 from softmap_edge.lab.session import NamedRun, Session
 from softmap_edge.robot.drive.recorded import open_run
 
-DEMO = ("demo", "out/demo")  # folders in which `softmap demo` may have left its runs
+DEMO = (".", "demo", "out/demo")  # folders in which `softmap demo` may have left its runs
 DEMO_RUNS = ("run.npz", "other_run.npz")
 MADE = "demo_run.npz"
 HIDDEN, SEED = "backlash", 1  # of the run that is made here
@@ -45,7 +45,7 @@ def lab_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="run",
         help=(
             "measured runs, .npz or .mcap: the first is fitted, the others validate (default: "
-            "those of the session in --folder, else of `softmap demo`)"
+            "those of the session in --folder, else run.npz and other_run.npz here or where `softmap demo` left them)"
         ),
     )
     parser.add_argument("--bundle", metavar="DIR", help="the model (default: the built-in finger)")

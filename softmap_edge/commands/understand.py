@@ -122,8 +122,8 @@ def _nothing_left(before: Comparison, after: Comparison) -> str | None:
         return None
     if new <= NEAR_FLOOR * floor:
         return (
-            f"The error is within {NEAR_FLOOR:g} times the noise floor: a diagnosis of this run "
-            "would find little."
+            f"The error is within {NEAR_FLOOR:g} times the noise floor: the model is as good as "
+            "this run can show."
         )
     gone = fall(old, new, floor)
     if gone is not None and gone >= REMOVED:

@@ -151,7 +151,7 @@ def frames_of(view: View, after: Prediction | None) -> tuple[Document, dict[str,
         "classes": {name: labels for name, (labels, _) in view.classes.items()},
         "loops": [loop.name for loop in loops],
         "timeless": view.run.timeless,
-        "try_frames": len(view.sample),
+        "try_frames": view.sample.tolist(),
     }
     return header, {name: np.asarray(array, np.float32) for name, array in arrays.items()}
 
@@ -171,7 +171,8 @@ def tried(model: Model, view: View, frame: int) -> tuple[float, dict[str, Single
     """Return the error of a model on the sample of a run, RMS mm, and its shape in one frame."""
     chosen = np.union1d(view.sample, [_checked(view, frame)])
     predicted, seen, visible = aligned(model, view.run.at(chosen))
-    squared = np.sum((predicted - seen) ** 2, axis=2)[visible]
+    counted = visible & np.isin(chosen, view.sample)[:, None]
+    squared = np.sum((predicted - seen) ** 2, axis=2)[counted]
     here = predicted[int(np.searchsorted(chosen, frame))]
     return float(np.sqrt(squared.mean())), {"points": here.astype(np.float32)}
 

@@ -82,6 +82,8 @@ def mapping_text(sheets: list[Sheet], found: Found, frame: list[str]) -> str:
             "",
             "[constant]",
             "# gravity = [0.0, 0.0, 1.0]   # UNKNOWN: hanging (0, 0, 1), standing (0, 0, -1)",
+            "# marker_rest_mm = [[0.0, 0.0, 0.0], …]   # UNKNOWN: each marker on the resting robot, "
+            "base frame; models without markers of their own need it",
         ]
         lines += [
             "# sigma_mm = 0.1   # noise of a marker coordinate, if you know it",

@@ -141,7 +141,7 @@ def test_each_output_ends_with_the_next_command_and_it_works(made, monkeypatch, 
         run(shlex.split(line.replace("ANOTHER_RUN", "other_run.npz")))
         line = capsys.readouterr().out.splitlines()[-1].removeprefix("next: ")
     assert done == ["check", "compare", "diagnose", "add", "compare"]
-    assert line.startswith("The error is within 1.5 times the noise floor: a diagnosis ")
+    assert line.startswith("The error is within 1.5 times the noise floor: the model ")
 
 
 @pytest.mark.long

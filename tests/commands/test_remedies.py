@@ -57,6 +57,7 @@ ELSEWHERE = {
     "model adapt": "test_adaptation.py",
     "model sweep": "test_elsewhere.py",
     "build": "test_elsewhere.py",
+    "lab": "test_lab_server.py",
 }
 
 

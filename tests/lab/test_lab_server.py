@@ -170,7 +170,7 @@ def test_in_a_browser_frames_move_and_a_brush_selects_everywhere(tmp_path):
         page.click("#tab-add")
         page.select_option("#library", "backlash")
         page.click("#take")
-        until(lambda: text("trial").startswith("Trial:"))
+        until(lambda: text("trial").startswith("Trial on "))
         page.click("#accept")
         until(lambda: "+ backlash" in text("model"))
         page.click("#undo")

@@ -16,7 +16,7 @@ let state = null, run = null, where = null, number = 0, frame = 0, mask = null, 
 let shapes = new Map(), version = 0, worstFrames = [], checking = false;
 const scene = new Scene($("scene"));
 const timeline = new Timeline($("timeline"), go, (first, last) => select(Uint8Array.from({ length: run.frames }, (_, k) => Number(k >= first && k <= last)), `frames ${first} to ${last}`));
-const steps = new Steps({ say, trial: () => draw(), frame: () => frame, run: () => number });
+const steps = new Steps({ say, trial: () => { draw(); label(); }, frame: () => frame, run: () => number, name: () => $("runs").selectedOptions[0]?.textContent ?? "this run" });
 
 function say(text, bad = false) { $("status").textContent = text; $("status").classList.toggle("bad", bad); }
 const failed = fault => say(fault.message, true);
@@ -151,7 +151,7 @@ function refresh(afresh = false) {
   $("time").setAttribute("aria-valuetext", when(frame));
   $("time-text").textContent = `frame ${frame}, ${when(frame)}`;
   const errors = run.frameErrors;
-  $("frame-error").textContent = `${mm(errors.before[frame])} mm RMS${errors.after ? ` → ${mm(errors.after[frame])} mm` : ""}`;
+  label();
   timeline.show([{ values: errors.before, colour: "before" }, ...(errors.after ? [{ values: errors.after, colour: "after" }] : [])], mask, frame, worstFrames);
   const chosen = mask ? mask.reduce((a, b) => a + b, 0) : 0;
   $("selection").textContent = mask ? `${chosen} of ${run.frames} frames selected (${maskWords}): ${mm(run.rms(run.newest, k => mask[k]))} mm RMS` : `All ${run.frames} frames: ${mm(run.rms(run.newest, () => true))} mm RMS. Drag over a plot to select frames.`;
@@ -171,6 +171,22 @@ async function fetchShape() {
   } catch (fault) { if (mine === version) failed(fault); asked = -1; return; }
   asked = -1;
   if (frame !== at || mine !== version) fetchShape(); else draw();
+}
+
+/** The error of this frame, of each model that is shown. */
+function label() {
+  const errors = run.frameErrors, shape = shapes.get(frame), trial = shape && steps.trialAt(frame);
+  $("frame-error").textContent = `${mm(errors.before[frame])} mm RMS${errors.after ? ` → ${mm(errors.after[frame])} mm` : ""}${trial ? `, trial ${mm(rmsOf(trial, shape))} mm` : ""}`;
+}
+
+function rmsOf(points, shape) {
+  let sum = 0, count = 0;
+  for (let i = 0; i < points.length; i += 3) {
+    if (!shape.visible[i / 3]) continue;
+    sum += (points[i] - shape.seen[i]) ** 2 + (points[i + 1] - shape.seen[i + 1]) ** 2 + (points[i + 2] - shape.seen[i + 2]) ** 2;
+    count += 1;
+  }
+  return Math.sqrt(sum / count);
 }
 
 function colours(points, seen, visible) {
@@ -226,8 +242,13 @@ function open(name, focus = false) {
   refresh(true);
   steps.draw();
 }
+/** On a narrow page the steps lie below the finger. */
+function show(name) {
+  open(name);
+  if (matchMedia("(max-width: 820px)").matches) $("steps").scrollIntoView({ block: "start" });
+}
 for (const name of TABS) {
-  $(`tab-${name}`).addEventListener("click", () => open(name));
+  $(`tab-${name}`).addEventListener("click", () => show(name));
   $(`tab-${name}`).addEventListener("keydown", event => {
     const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
     if (step) { event.preventDefault(); open(TABS[(TABS.indexOf(name) + step + TABS.length) % TABS.length], true); }

@@ -68,7 +68,7 @@ export class Steps {
     if (!before || JSON.stringify(before) !== JSON.stringify(state)) ask("diagnosis").then(told => { this.diagnosis = told.diagnosis; this.found(); }, fault => this.page.say(fault.message, true));
   }
 
-  setRun(run) { this.run = run; this.trial = null; this.draw(); }
+  setRun(run) { this.run = run; this.trial = null; this.draw(); if (this.changed()) this.tries(); }
   moved() { if (this.changed()) this.tries(); }
   trialAt(frame) { return this.trial && this.trial.frame === frame && this.trial.run === this.page.run() ? this.trial.points : null; }
 
@@ -102,7 +102,7 @@ export class Steps {
     } else this.evidence = null;
     if (d.effects.length) {
       root.append(make("h2", "Effects that the model lacks"), table(["effect", "parameter", "probability", "effect size"], d.effects.map(one => [
-        one.name, Object.entries(one.params).map(([label, p]) => `${label.slice(one.name.length + 1)} ${number(p.value)}${p.sigma === null ? "" : ` ± ${number(p.sigma)}`}${p.unit === "1" ? "" : ` ${p.unit}`}`).join("; "),
+        one.name, Object.entries(one.params).map(([label, p]) => `${label.slice(one.name.length + 1)} ${number(p.value)}${p.sigma === null ? "" : ` ± ${Number(p.sigma.toPrecision(2))}`}${p.unit === "1" ? "" : ` ${p.unit}`}`).join("; "),
         percent(one.probability), `${mm(one.displacement_mm?.fitted)} mm`])));
     }
     if (d.families.length) root.append(make("h2", "Families"), table(["family", "law", "share of the explained error", "effect size"], d.families.map(one => [one.name, `${one.law}: ${one.effects.join(", ") || "–"}`, percent(one.share), `${mm(one.moved_mm)} mm`])));
@@ -208,9 +208,10 @@ export class Steps {
       const told = await ask("try", { run, frame, effects: this.names, params: this.params });
       this.trial = { frame, run, points: told.arrays.points };
       this.base ??= {};
-      const whole = this.run.tried === this.run.frames, all = this.run.rms(this.run.newest, () => true);
-      $("trial").textContent = `Trial: ${mm(told.rms_mm)} mm RMS${whole ? "" : ` on ${this.run.tried} of ${this.run.frames} frames`}; now ${mm(all)} mm.`;
-      $("trial").className = told.rms_mm < all ? "good" : "";
+      const tried = this.run.tried, now = this.run.rms(this.run.newest, k => tried.has(k)), off = told.rms_mm - now;
+      const judged = Math.abs(off) < 0.005 * now ? "no change" : off < 0 ? "better" : "worse";
+      $("trial").textContent = `Trial on ${this.page.name()}: ${mm(now)} → ${mm(told.rms_mm)} mm RMS, ${judged}${tried.size < this.run.frames ? ` (${tried.size} of ${this.run.frames} frames)` : ""}.`;
+      $("trial").className = { better: "good", worse: "bad" }[judged] ?? "";
       this.page.trial();
     } catch (fault) { $("trial").textContent = fault.message; $("trial").className = "bad"; }
     this.trying = false;
@@ -225,7 +226,7 @@ export class Steps {
       this.params = told.values;
       this.list();
       await this.tries();
-      $("trial").textContent += ` Fitted: ${mm(told.before_rms_mm)} → ${mm(told.after_held_out_rms_mm)} mm held out on blocks (of the places that a diagnosis compares).`;
+      $("trial").textContent += ` The fit on the first run, at the places that a diagnosis compares: ${mm(told.before_rms_mm)} mm before, ${mm(told.after_held_out_rms_mm)} mm on blocks held out.`;
     } catch (fault) { $("trial").textContent = fault.message; $("trial").className = "bad"; }
     this.buttons();
   }

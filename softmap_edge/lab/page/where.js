@@ -10,7 +10,7 @@ export class Run {
   constructor(told) {
     const a = told.arrays;
     Object.assign(this, { frames: told.frames, points: told.points, names: told.section_names, classes: told.classes, loops: told.loops,
-      timeless: told.timeless, tried: told.try_frames, arrays: a, sections: told.section_names.length });
+      timeless: told.timeless, tried: new Set(told.try_frames), arrays: a, sections: told.section_names.length });
     this.frameErrors = { before: this.perFrame(a.before), ...(a.after && { after: this.perFrame(a.after) }) };
   }
 
