@@ -367,14 +367,12 @@ class _Line:
 
     def at(self, t: Floats) -> Floats:
         """Return the delay (K,) s at times (K,) s."""
-        part = (
-            t - self.pivot
-            if self.kind == "line"
-            else (t >= self.pivot)
-            if self.kind == "step"
-            else np.zeros(len(t))
-        )
-        return np.asarray(self.value[0] + self.value[1] * part)
+        constant, slope = self.value
+        if self.kind == "line":
+            return np.asarray(constant + slope * (t - self.pivot))
+        if self.kind == "step":
+            return np.asarray(constant + slope * (t >= self.pivot))
+        return np.full(len(t), constant)
 
 
 def _best(blocks: _Blocks) -> _Line:

@@ -51,7 +51,8 @@ def unseen_parts(run: Run) -> list[str]:
     if not seen.any():
         what = "point" if run.output is None else "output"
         return [
-            f"no {what} is seen in any of {run.frames} frames: nothing about this run can be checked"
+            f"no {what} is seen in any of {run.frames} frames: nothing about this run can be "
+            "checked"
         ]
     found = list(_unwatched(run, np.asarray(seen.any(axis=1))))
     if run.markers is None:
@@ -117,7 +118,8 @@ def _stretches(run: Run, seen: Mask, names: list[str]) -> Iterator[str]:
         yield (
             f"{listed(missing, _NAMED)}: not seen in frames {a} to {b}{when}, "
             f"{100 * (end - first) / len(frames):.0f} % of the recording; nothing about "
-            f"{'it' if len(missing) == 1 else 'them'} can be checked there: cut the run, or record again"
+            f"{'it' if len(missing) == 1 else 'them'} can be checked there: cut the run, or record "
+            "again"
         )
 
 
@@ -164,8 +166,8 @@ def _frozen(run: Run, seen: Mask) -> Iterator[str]:
     if stuck.any():
         yield (
             f"{listed(_those(run.marker_names, stuck), _NAMED)}: the same to the last digit in all "
-            f"{run.frames} frames while others change, so nothing about {_it(stuck)} can be checked; "
-            f'leave {_it(stuck)} out, or keep {_it(stuck)} with not_seen = "keep" in the mapping'
+            f"{run.frames} frames while others change, so nothing about {_it(stuck)} can be "
+            f'checked; leave {_it(stuck)} out, or keep {_it(stuck)} with not_seen = "keep" in the mapping'
         )
 
 

@@ -289,7 +289,10 @@ def record_arguments(parser: argparse.ArgumentParser) -> None:
     where.add_argument(
         "--emulated",
         action="store_true",
-        help="on emulated servos with a finger on them, in simulated time: as fast as the computer can",
+        help=(
+            "on emulated servos with a finger on them, in simulated time: as fast as the computer "
+            "can"
+        ),
     )
     where.add_argument(
         "--rig", metavar="FILE.toml", help="on the servos of this rig, seen by --camera"

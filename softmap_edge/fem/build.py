@@ -71,8 +71,8 @@ def build_model(
     """Simulate `finger` over its command range and return its table model.
 
     `steps` commands a channel (odd, at least 5; usually 41, or 13 of three channels) over its
-    command range. `progress` is called with (what, share of all work). Raises NoEquilibriumError if there is no
-    equilibrium, SoftmapError for a bad argument.
+    command range. `progress` is called with (what, share of all work). Raises NoEquilibriumError
+    if there is no equilibrium, SoftmapError for a bad argument.
     """
     report: Progress = progress or (lambda what, share: None)
     simulator = simulator_of(finger)
@@ -275,7 +275,9 @@ def form_error(
     rng = np.random.default_rng(FORM_SEED)
     low, high = model.command_range.T
     meshed = isinstance(finger.solid, Meshed)
-    count = (MESHED_COMMANDS if meshed else FORM_COMMANDS) if model.channels else 1
+    count = 1
+    if model.channels:
+        count = MESHED_COMMANDS if meshed else FORM_COMMANDS
     commands = rng.uniform(low * 0.85, high * 0.85, (count, model.channels))
     if finger.command_unit == "N":  # no tendon is pulled below zero: stay inside the range
         commands = low + (high - low) * rng.uniform(0.075, 0.925, commands.shape)

@@ -36,7 +36,8 @@ _TEXTS = (  # comments and strings, in which dots join nothing
     r"#[^\n]*+",
     r'"""(?:[^"\\]|\\.|"(?!""))*+(?:"""|\\?\Z)',
     r"'''(?:[^']|'(?!''))*+(?:'''|\Z)",
-    rf"{_BASIC[:-1]}(?:\"|(?=\n)|\\?\Z)",  # without an end, up to that of the line: no second search
+    # without an end, up to that of the line: no second search
+    rf"{_BASIC[:-1]}(?:\"|(?=\n)|\\?\Z)",
     rf"{_LITERAL[:-1]}(?:'|(?=\n)|\Z)",
 )
 _TOKENS = re.compile(rf"(?P<long>{_LONG_KEY})|{'|'.join(_TEXTS)}", re.DOTALL)

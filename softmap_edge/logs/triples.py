@@ -47,8 +47,8 @@ _OTHER: tuple[tuple[str, str], ...] = (
     ),
     (
         "angles",
-        r"rot|orient|quat|rpy|ypr|roll|pitch|yaw|eul|ang|theta|phi|psi|heading|attitude|tilt|dir|ori|"
-        r"alpha|beta|gamma|curv|kappa|bend",
+        r"rot|orient|quat|rpy|ypr|roll|pitch|yaw|eul|ang|theta|phi|psi|heading|attitude|tilt|dir"
+        r"|ori|alpha|beta|gamma|curv|kappa|bend",
     ),
     ("rates", r"vel|speed|acc|gyr|omega|twist|jerk|rate|spin"),
     ("a field or a constant", r"grav|mag|imu|field|norm|bias|offset|scale|gain|color|colour|rgb"),
@@ -56,9 +56,10 @@ _OTHER: tuple[tuple[str, str], ...] = (
 )
 _NAMELESS = re.compile("unlabel", re.IGNORECASE)
 _PLACE = re.compile(
-    r"tip|end|eef|tcp|mark|mk|led|tag|point|pnt|pos|place|loc|trans|coord|body|bodies|rigid|base|clamp|frame|mount|"
-    r"node|vert|bead|dot|seg|sec|disk|disc|tool|hand|wrist|elbow|head|finger|joint|link|object|mocap|vicon|opti|"
-    r"aruco|april|cent|cam|robot|sensor|probe|ring|knot|xyz|track|feature|blob|ball|led|pose",
+    r"tip|end|eef|tcp|mark|mk|led|tag|point|pnt|pos|place|loc|trans|coord|body|bodies|rigid|base"
+    r"|clamp|frame|mount|node|vert|bead|dot|seg|sec|disk|disc|tool|hand|wrist|elbow|head|finger"
+    r"|joint|link|object|mocap|vicon|opti|aruco|april|cent|cam|robot|sensor|probe|ring|knot|xyz"
+    r"|track|feature|blob|ball|pose",
     re.IGNORECASE,
 )
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+|[^\W\d_]+")

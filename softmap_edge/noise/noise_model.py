@@ -205,7 +205,8 @@ def measure_noise(
     plain = estimate_noise(residual, t_seen, dwell)
     if not plain.measured:
         off = noise_off_shapes(seen, state)
-        # Motion inflates the one, and shapes that change inflate the other. With both it is no guess.
+        # Motion inflates the one, and shapes that change inflate the other. With both it is no
+        # guess.
         smaller = plain if off is None or plain.trace < off.trace else off
         return replace(smaller, measured=off is not None)
     moving = motion_left(residual, seen, positions, t_seen, state)

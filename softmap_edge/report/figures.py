@@ -265,7 +265,9 @@ def ladder_bars(error: Document) -> bytes:
         figure = Figure(figsize=(WIDE, 0.75 + 0.36 * len(steps)), layout="constrained")
         axes = figure.add_subplot()
         for position, (name, value) in enumerate(steps):
-            colour = BEFORE if position == 0 else AFTER if name.startswith("+") else PALE
+            colour = BEFORE
+            if position > 0:
+                colour = AFTER if name.startswith("+") else PALE
             axes.barh(
                 position,
                 value,

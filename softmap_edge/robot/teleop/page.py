@@ -194,13 +194,7 @@ class Page:
                 if self._view is not None and link.shown >= link.sent:
                     state, points, picture = self._view()
                     sent = link.sent + 1
-                    seat = (
-                        "mine"
-                        if self._driver is connection
-                        else "free"
-                        if self._driver is None
-                        else "taken"
-                    )
+                    seat = _seat(self._driver, connection)
                     state |= {
                         "number": sent,
                         "seat": seat,
@@ -261,6 +255,13 @@ class _Link:
             self.shown = shown
         self.age = max(0.0, now - t - max(self._behind, default=-math.inf))
         return True
+
+
+def _seat(driver: object | None, page: object) -> str:
+    """Return whether a page drives (`mine`), may drive (`free`), or another one does (`taken`)."""
+    if driver is page:
+        return "mine"
+    return "free" if driver is None else "taken"
 
 
 def _read(message: str | bytes) -> Document | None:
