@@ -221,7 +221,10 @@ def without(run: Run, names: list[int]) -> Run:
     keep = np.setdiff1d(np.arange(run.markers.shape[1]), names)
     if not len(keep):
         raise AlignError("--drop-base: no marker is left; the run needs markers on the robot too")
-    visible, sigma, rest, extra = run.visible, run.sigma, run.marker_rest, run.extra
+    visible = run.visible
+    sigma = run.sigma
+    rest = run.marker_rest
+    extra = run.extra
     labels = extra.get("marker_labels")
     if labels is not None and labels.shape == (run.markers.shape[1],):
         extra = extra | {"marker_labels": labels[keep]}

@@ -99,13 +99,11 @@ class Live:
         self._first: float | None = None  # time of the first frame, s
         # time s, mean square mm², points; of the last RECENT s
         self._errors: deque[tuple[float, float, int]] = deque()
-        self._square, self._points, self._worst, self._frames, self.left_out = (
-            0.0,
-            0,
-            math.nan,
-            0,
-            0,
-        )
+        self._square = 0.0
+        self._points = 0
+        self._worst = math.nan
+        self._frames = 0
+        self.left_out = 0
 
     def drove(self, periods: Iterable[Document]) -> None:
         """Add periods of a loop; ignore those in which a servo did not reply.

@@ -62,13 +62,11 @@ class Space:
         layout = record.layout(own + tuple(e for e in effects if e not in own), split)
         self.split, self.full = tuple(split), layout.full
         self.names, self.labels, self.units = layout.names, layout.labels, layout.units
-        null, start, low, high, limit = (
-            layout.null,
-            layout.start,
-            layout.low,
-            layout.high,
-            layout.limit,
-        )
+        null = layout.null
+        start = layout.start
+        low = layout.low
+        high = layout.high
+        limit = layout.limit
         searched = set(free or effects)
         identifiable = [label.split("@")[0] not in record.untold for label in self.labels]
         self.free = np.array(

@@ -34,14 +34,12 @@ Floats = NDArray[np.float64]
 ABOVE_NOISE = 3.0  # the colours of an error reach at least this multiple of the noise floor
 # s of a long run that are drawn, and least number of frames in such a stretch
 STRETCH, MANY = 20.0, 10
-BEFORE, AFTER, FLOOR, INK, FAINT, PALE = (
-    "#cf5c36",
-    "#1f7a8c",
-    "#7d8597",
-    "#1f2933",
-    "#e7eaef",
-    "#9aa5b1",
-)
+BEFORE = "#cf5c36"
+AFTER = "#1f7a8c"
+FLOOR = "#7d8597"
+INK = "#1f2933"
+FAINT = "#e7eaef"
+PALE = "#9aa5b1"
 ERROR_MAP = LinearSegmentedColormap.from_list(
     "error", ["#dceef0", "#f6e7c1", "#efa35c", "#cf5c36", "#6a1b1a"]
 )

@@ -78,7 +78,10 @@ def heartbeat(args: HeartbeatOptions) -> int:
         raise ServoError(
             f"--every {every:g} s; allowed is 0.001 to 1 s, well below the timeout in rig.toml"
         )
-    pressed, beats, warned, begun = False, 0, False, time.monotonic()
+    pressed = False
+    beats = 0
+    warned = False
+    begun = time.monotonic()
     with Heart(host, int(port), read_key(args.key)) as heart, _keys() as keys:
         if not args.json:
             print(f"beating for {args.robot}: {KEYS}", flush=True)

@@ -200,7 +200,10 @@ def _by_keys(jog: Jog, hand: Keys) -> None:
 
     The servo keeps its torque until the key is known to be released.
     """
-    chosen, count, presses, step = 0, len(jog.rig.servos), 0, 0.0
+    chosen = 0
+    count = len(jog.rig.servos)
+    presses = 0
+    step = 0.0
     ended: Literal["", "window", "travel"] = ""
     while not hand.stopped:
         jog.robot.time.there()

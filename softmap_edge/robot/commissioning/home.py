@@ -99,7 +99,10 @@ def prove(rig: Rig, confirmed: str, *, new: bool = False) -> Homed:
     with opened(rig.port, rig.baud) as bus:
         positions = _watched(bus, rig)
         known = [marked(bus, servo.id, servo.home) for servo in rig.servos]
-        homes, away, turns, far = [], [], [], []
+        homes = []
+        away = []
+        turns = []
+        far = []
         most = most_travel(rig)
         for servo, position, proved in zip(rig.servos, positions, known):
             fresh = new or servo.home is None

@@ -245,7 +245,10 @@ def read_kept(file: Path) -> Kept:
 
 def _read_lines(lines: BinaryIO, kept: Kept, checked: bool, file: Path, ends: bool) -> None:
     """Add the content of the lines after the first to `kept`, and what cannot be read of them."""
-    wrong, count, line, ended = [], 1, b"\n", not ends
+    wrong = []
+    count = 1
+    line = b"\n"
+    ended = not ends
     while (line := lines.readline(LONGEST)).endswith(b"\n"):
         count += 1
         text, sound = _checked(line)

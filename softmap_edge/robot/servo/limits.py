@@ -48,7 +48,10 @@ Floats = NDArray[np.float64]
 IDLE = 0.05  # of a servo's stall current: used by motor and gears without a load
 # of the window: largest distance, besides full turns, of the rig's home from the calibration's
 ASTRAY = 0.03
-FINGER, CEILING, DATA, OWN = "safety.toml", "rig.toml", "the servo's data", "softmap"
+FINGER = "safety.toml"
+CEILING = "rig.toml"
+DATA = "the servo's data"
+OWN = "softmap"
 # None: unit of the commands
 UNITS = {name: unit for name, (_, _, unit) in _core.limit_ranges().items()}
 _SIMPLE: Final = (

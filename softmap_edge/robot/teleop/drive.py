@@ -137,11 +137,17 @@ class Drive:
         show: Callable[[DriveState], None] | None = None,
         say: Callable[[str], None] | None = None,
     ) -> None:
-        self._robot, self._aim, self._eyes, self._inputs = robot, aim, eyes, list(inputs)
+        self._robot = robot
+        self._aim = aim
+        self._eyes = eyes
+        self._inputs = list(inputs)
         self._map = HandMap(aim.box, reach, flip)
         self._kinematics, self._settled = kinematics, kinematics.inverse()
         self._clutch, self._gesture, self._filter = Clutch(), Deadman(rule), OneEuro()
-        self._stays, self._sent, self._show, self._say = stays, sent, show, say
+        self._stays = stays
+        self._sent = sent
+        self._show = show
+        self._say = say
         self._smooth: OneEuroState | None = None
         self._last_sight = -1
         self._own = OwnHand()  # the hand followed since the press

@@ -74,7 +74,10 @@ class Page:
 
     def __init__(self, port: int = PORT, host: str = "127.0.0.1", source: Source = "knob") -> None:
         self._source: Source = source
-        self._key, self._wish, self._knob, self._rest = HeldKey(), Wish(), (0.0, 0.0), (0.0, 0.0)
+        self._key = HeldKey()
+        self._wish = Wish()
+        self._knob = (0.0, 0.0)
+        self._rest = (0.0, 0.0)
         self._driver: object | None = None
         self._pages: set[object] = set()
         self._lock = threading.Lock()

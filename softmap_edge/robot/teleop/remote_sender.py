@@ -45,7 +45,10 @@ def send(
 
     Without a `key`, no key is held here.
     """
-    done, number, begun, line = Sent(), -1, time.monotonic(), ""
+    done = Sent()
+    number = -1
+    begun = time.monotonic()
+    line = ""
     try:
         while not done.ended:
             eyes.wait(number, EVERY)
