@@ -201,9 +201,9 @@ def _join(args: JoinOptions) -> int:
     check_file("--out", args.out, ".npz")
     check_no_run("--out", args.out, args.force)
     runs = [open_run(path) for path in args.runs]
-    whole = join_runs(runs, args.gap, args.drop)
-    whole.save(args.out)
-    document = contents(whole) | {"doubts": join_doubts(runs, args.gap)}
+    joined = join_runs(runs, args.gap, args.drop)
+    joined.save(args.out)
+    document = contents(joined) | {"doubts": join_doubts(runs, args.gap)}
     if args.json:
         print(
             json.dumps({"schema": "softmap.join/1", "out": args.out} | document, ensure_ascii=False)

@@ -169,7 +169,7 @@ def teleop(args: TeleopOptions) -> int:
 def _drive(args: TeleopOptions) -> int:
     check_driven(args)
     load_own(args)
-    whole = open_model(args.bundle)
+    loaded = open_model(args.bundle)
     flips = _flips(args.flip)
     with contextlib.ExitStack() as stack:
         eyes = stack.enter_context(_eyes(args, stack))
@@ -191,7 +191,7 @@ def _drive(args: TeleopOptions) -> int:
                 "nothing can drive: no page, no terminal, no camera; leave --page none away"
             )
         driven = stack.enter_context(
-            driven_robot(args.rig, whole, args.hide, args.seed, person=True)
+            driven_robot(args.rig, loaded, args.hide, args.seed, person=True)
         )
         model = driven_model(args, driven.model)
         kinematics = Kinematics(model, axes="xy" if args.tip else "xyz")

@@ -166,27 +166,27 @@ def track(args: TrackOptions) -> int:
         )
     behind = late(args, LATE[0] if args.sim else 0.0)
     load_own(args)
-    whole = open_model(args.bundle)
+    model = open_model(args.bundle)
     if args.table:
-        return _table(args, whole)
+        return _table(args, model)
     if args.workspace:
-        return _workspace(args, Kinematics(driven_model(args, whole), axes=args.axes or "xyz"))
+        return _workspace(args, Kinematics(driven_model(args, model), axes=args.axes or "xyz"))
     tracked = kept = None
     with contextlib.ExitStack() as stack:
         driven = (
             None
             if args.plan
-            else stack.enter_context(driven_robot(args.rig, whole, args.hide, args.seed))
+            else stack.enter_context(driven_robot(args.rig, model, args.hide, args.seed))
         )
         seen = None if driven is None else stack.enter_context(_eyes(args, driven))
-        calibration = driven.calibration if driven else whole.calibration or plain_map(whole)
+        calibration = driven.calibration if driven else model.calibration or plain_map(model)
         kinematics = Kinematics(
-            driven_model(args, driven.model if driven else whole), axes=args.axes or "xy"
+            driven_model(args, driven.model if driven else model), axes=args.axes or "xy"
         )
         limits = (
             driven.limits["servos"]
             if driven
-            else [servo_limits(SERVO, 0, (-1000.0, 1000.0))] * whole.channels
+            else [servo_limits(SERVO, 0, (-1000.0, 1000.0))] * model.channels
         )
         planned = course(
             kinematics,

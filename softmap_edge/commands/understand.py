@@ -201,7 +201,7 @@ def diagnose(args: DiagnoseOptions) -> int:
     names = [name for text in args.effects if not text.endswith(".py") for name in _names(text)]
     files = [path for path in args.effects if path.endswith(".py")]
     own = load_own(replace(args, effects=files))
-    wanted = [*dict.fromkeys([*names, *own])] if names else None
+    searched = [*dict.fromkeys([*names, *own])] if names else None
     model = open_model(args.bundle)
     runs, references = (
         [open_run(path, model) for path in paths] for paths in (args.runs, args.reference or [])
@@ -209,7 +209,7 @@ def diagnose(args: DiagnoseOptions) -> int:
     held_out = None if args.held_out is None else open_run(args.held_out, model)
     for run in [*runs, *references]:
         warn_outside("diagnose", model, run)
-    found = find(model, runs, held_out, wanted, teller(args), reference=references or None)
+    found = find(model, runs, held_out, searched, teller(args), reference=references or None)
     text = json.dumps(found.to_dict(), indent=1) if args.json else str(found)
     try:  # files before the text: a reader may close the pipe
         if args.out:

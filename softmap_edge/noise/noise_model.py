@@ -128,7 +128,7 @@ def estimate_noise(residual: Floats, t_seen: Floats, visit: NDArray[np.int64]) -
     found = dwell_scatter(residual, visit)
     if found.degrees >= ENOUGH:
         covariance = _shrunk(found.squares / found.degrees, found.degrees)
-        return Noise(covariance, _told(found.degrees), _inflation(found.rho), True)
+        return Noise(covariance, _degrees_text(found.degrees), _inflation(found.rho), True)
     return Noise(
         _high_frequency(filled(residual), t_seen),
         "high-frequency part of the run (no replicates)",
@@ -243,7 +243,7 @@ def measure_noise(
     )
 
 
-def _told(degrees: int) -> str:
+def _degrees_text(degrees: int) -> str:
     return f"replicates ({degrees} degrees of freedom)"
 
 

@@ -99,7 +99,7 @@ def _scan(args: ScanOptions) -> int:
     remarks += (missing := _missing(rig, found))
     remarks, missing = ([with_files(one, args) for one in some] for some in (remarks, missing))
     if args.json:
-        servos = [_told(servo) for servo in found]
+        servos = [_servo_document(servo) for servo in found]
         print(json.dumps({"schema": "softmap.servos/1", "servos": servos, "remarks": remarks}))
     elif missing:
         print("\n".join(f"  ! {one}" for one in missing))
@@ -115,7 +115,7 @@ def _scan(args: ScanOptions) -> int:
     return 0 if found and not remarks else FAULT
 
 
-def _told(servo: setup.ServoState) -> Document:
+def _servo_document(servo: setup.ServoState) -> Document:
     name = servo.model["name"] if servo.model else None
     return dict(
         port=servo.port,
@@ -161,7 +161,9 @@ def _read(args: ReadOptions) -> int:
         notes = remarks_on_gains(servo, values, asked.get(servo.id)) if values else []
         said, notes = ([with_files(one, args) for one in some] for some in (said, notes))
         well &= not said
-        documents.append(_told(servo) | {"registers": values, "complaints": said, "notes": notes})
+        documents.append(
+            _servo_document(servo) | {"registers": values, "complaints": said, "notes": notes}
+        )
         if not args.json:
             print(servo)
             print(
@@ -228,7 +230,7 @@ def _setup(args: SetupOptions) -> int:
             json.dumps(
                 {
                     "schema": "softmap.servos/1",
-                    "servos": [_told(done)],
+                    "servos": [_servo_document(done)],
                     "rig": args.rig,
                     "mended": mended,
                 }

@@ -65,7 +65,7 @@ export class Steps {
     $("simulated").textContent = state.diagnosis_current ? "" : "Needs a diagnosis of these runs and this model: open step 3.";
     if (accepted(before) !== accepted(state)) this.reset();
     else this.buttons();
-    if (!before || JSON.stringify(before) !== JSON.stringify(state)) ask("diagnosis").then(told => { this.diagnosis = told.diagnosis; this.found(); }, fault => this.page.say(fault.message, true));
+    if (!before || JSON.stringify(before) !== JSON.stringify(state)) ask("diagnosis").then(answer => { this.diagnosis = answer.diagnosis; this.found(); }, fault => this.page.say(fault.message, true));
   }
 
   setRun(run) { this.run = run; this.trial = null; this.draw(); }
@@ -205,12 +205,12 @@ export class Steps {
     this.trying = true;
     const frame = this.page.frame(), run = this.page.run();
     try {
-      const told = await ask("try", { run, frame, effects: this.names, params: this.params });
-      this.trial = { frame, run, points: told.arrays.points };
+      const answer = await ask("try", { run, frame, effects: this.names, params: this.params });
+      this.trial = { frame, run, points: answer.arrays.points };
       this.base ??= {};
       const whole = this.run.tried === this.run.frames, all = this.run.rms(this.run.newest, () => true);
-      $("trial").textContent = `Trial: ${mm(told.rms_mm)} mm RMS${whole ? "" : ` on ${this.run.tried} of ${this.run.frames} frames`}; now ${mm(all)} mm.`;
-      $("trial").className = told.rms_mm < all ? "good" : "";
+      $("trial").textContent = `Trial: ${mm(answer.rms_mm)} mm RMS${whole ? "" : ` on ${this.run.tried} of ${this.run.frames} frames`}; now ${mm(all)} mm.`;
+      $("trial").className = answer.rms_mm < all ? "good" : "";
       this.page.trial();
     } catch (fault) { $("trial").textContent = fault.message; $("trial").className = "bad"; }
     this.trying = false;
@@ -221,11 +221,11 @@ export class Steps {
     $("fit").disabled = true;
     $("trial").textContent = "Fitting to the first run …";
     try {
-      const told = (await ask("fit", { effects: this.names, params: this.params })).fit;
-      this.params = told.values;
+      const answer = (await ask("fit", { effects: this.names, params: this.params })).fit;
+      this.params = answer.values;
       this.list();
       await this.tries();
-      $("trial").textContent += ` Fitted: ${mm(told.before_rms_mm)} → ${mm(told.after_held_out_rms_mm)} mm held out on blocks (of the places that a diagnosis compares).`;
+      $("trial").textContent += ` Fitted: ${mm(answer.before_rms_mm)} → ${mm(answer.after_held_out_rms_mm)} mm held out on blocks (of the places that a diagnosis compares).`;
     } catch (fault) { $("trial").textContent = fault.message; $("trial").className = "bad"; }
     this.buttons();
   }

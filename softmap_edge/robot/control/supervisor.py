@@ -177,10 +177,10 @@ class Supervisor:
 
         Freezing counts only under torque.
         """
-        whole = False
-        while not whole:
+        complete = False
+        while not complete:
             if _has_more(pipe, LOOK):
-                whole = not self._take()
+                complete = not self._take()
                 continue
             self._silent += 1
             if self._frozen() and self._last.get("torque") and not self._ending:
