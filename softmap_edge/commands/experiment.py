@@ -437,11 +437,11 @@ def record(args: RecordOptions) -> int:
     }
     apart = "" if args.truth is None else f"; its truth in {args.truth}"
     after = next_command("compare", args.out, bundle=args.bundle)
-    said = (
+    sentence = (
         f"{run}\n{'virtual, ' if args.virtual else ''}simulated; written to {args.out}{apart}\n"
         f"{after}"
     )
-    print(json.dumps(document, ensure_ascii=False) if args.json else said)
+    print(json.dumps(document, ensure_ascii=False) if args.json else sentence)
     return 0
 
 

@@ -156,10 +156,10 @@ def teleop(args: TeleopOptions) -> int:
         return DONE
     if args.new_key:
         new_key(args.new_key)
-        said = (
+        text = (
             f"{args.new_key}: a new key; copy it to the other computer, where only you can read it"
         )
-        _print(args, {"key": args.new_key}, said)
+        _print(args, {"key": args.new_key}, text)
         return DONE
     if args.seconds is not None and not 0 < args.seconds <= 1e6:
         raise TeleopError(f"--seconds {args.seconds:g}; allowed is above 0, up to 1000000")

@@ -151,16 +151,16 @@ def replay(args: ReplayOptions) -> int:
             json.dumps(document | {"otherwise": differ, "short": recording.short, "run": args.run})
         )
     else:
-        said = (
+        text = (
             "every one decided alike"
             if not differ
             else f"{len(differ)} decided otherwise, the first is {differ[0]}"
         )
-        print(f"{args.recording}: {len(recording.periods)} periods in {seconds:.1f} s, {said}")
+        print(f"{args.recording}: {len(recording.periods)} periods in {seconds:.1f} s, {text}")
         if args.run:
             print(f"{args.run}: written")
     if lacks:
         warnings.warn(RecordingWarning(lacks), stacklevel=2)
-    if said := words.bus(recording.bus):
-        to_stderr(f"softmap servo replay: {said}")
+    if text := words.bus(recording.bus):
+        to_stderr(f"softmap servo replay: {text}")
     return FAULT if differ or recording.short else WELL

@@ -291,9 +291,9 @@ def _bare(args: EmulateOptions, count: int) -> int:
             "port": bus.path,
             "baud": args.baud,
         }
-        said = f"{bus.path} at {args.baud} baud, ids 1 to {count}, no finger; {FAULTS}"
+        text = f"{bus.path} at {args.baud} baud, ids 1 to {count}, no finger; {FAULTS}"
         print(
-            json.dumps(document | {"servos": count, "ready": False}) if args.json else said,
+            json.dumps(document | {"servos": count, "ready": False}) if args.json else text,
             flush=True,
         )
         _obey(bus, None)
@@ -310,8 +310,8 @@ def _obey(bus: _core.EmulatedBus, finger: EmulatedFinger | None) -> None:
             if fault := line.split():
                 try:
                     _break(bus, finger, fault)
-                except ServoError as said:
-                    print(f"{line.strip()}: {said}; {known}", file=sys.stderr)
+                except ServoError as refused:
+                    print(f"{line.strip()}: {refused}; {known}", file=sys.stderr)
                 except (ValueError, OverflowError):
                     print(
                         f"{line.strip()}: not all of it are numbers of that kind; {known}",

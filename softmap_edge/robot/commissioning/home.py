@@ -79,8 +79,8 @@ def relax(rig: Rig) -> list[int]:
         ServoError: a servo does not answer, is another model, is not set up, or reports an error.
     """
     seen = examined(rig.port, rig.baud, members(rig), release=True)
-    if said := refusal(seen):
-        raise ServoError(said)
+    if message := refusal(seen):
+        raise ServoError(message)
     return [one.found.firmware for one in seen if one.found is not None]
 
 
@@ -117,7 +117,7 @@ def prove(rig: Rig, confirmed: str, *, new: bool = False) -> Homed:
         for servo, home in zip(rig.servos, homes):
             set_mark(bus, servo.id, home)
     first = tuple(servo.id for servo in rig.servos if new or servo.home is None)
-    said = {
+    record = {
         "when": datetime.now(UTC).isoformat(timespec="seconds"),
         "how": "torque off, the finger straight, the turn nearest to the stored home",
         "confirmed": confirmed,
@@ -127,7 +127,7 @@ def prove(rig: Rig, confirmed: str, *, new: bool = False) -> Homed:
         "first": list(first),
     }
     servos = tuple(replace(servo, home=home) for servo, home in zip(rig.servos, homes))
-    changed = replace(rig, servos=servos, made={**rig.made, "homed": said})
+    changed = replace(rig, servos=servos, made={**rig.made, "homed": record})
     return Homed(changed, tuple(away), tuple(turns), first)
 
 

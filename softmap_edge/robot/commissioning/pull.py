@@ -184,9 +184,11 @@ def noted(rig: Rig, done: Sequence[Pulled]) -> Rig:
         replace(servo, current_mA=by_id[servo.id].ceiling_mA) if servo.id in by_id else servo
         for servo in rig.servos
     )
-    said = {f"servo_{id}": one.provenance(when) for id, one in by_id.items()}
+    provenance = {f"servo_{id}": one.provenance(when) for id, one in by_id.items()}
     return replace(
-        rig, servos=servos, made={**rig.made, "pulled": {**rig.made.get("pulled", {}), **said}}
+        rig,
+        servos=servos,
+        made={**rig.made, "pulled": {**rig.made.get("pulled", {}), **provenance}},
     )
 
 

@@ -89,8 +89,8 @@ class Recording:
             raise RunError(f"{self.file}: damaged ({fault!s:.60}); record again") from None
         differ = []
         for k, (period, (state, cause, torque, goals)) in enumerate(zip(self.periods, again)):
-            said = [goal if torque else None for goal in goals]
-            if (state, cause, torque, said) != (
+            commanded = [goal if torque else None for goal in goals]
+            if (state, cause, torque, commanded) != (
                 period["state"],
                 period["cause"],
                 period["torque"],

@@ -190,11 +190,11 @@ def try_out(model: Path, python: str = sys.executable, limit: float = TRY_SECOND
         name = signal.Signals(-done.returncode).name
         raise TeleopError(f"landmarker: mediapipe {version} dies on this computer ({name}); {UDP}")
     if done.returncode:
-        said = [
+        lines = [
             line for line in done.stderr.decode("utf-8", "replace").splitlines() if line.strip()
         ]
         raise TeleopError(
             f"landmarker: mediapipe {version} fails here "
-            f"({brief(Exception(said[-1] if said else ''))})"
+            f"({brief(Exception(lines[-1] if lines else ''))})"
         )
     _tried.add(str(model))

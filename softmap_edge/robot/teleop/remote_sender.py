@@ -58,10 +58,10 @@ def send(
             held = key is not None and key.controls(now).held
             hand = sight.hand if sight is not None and now - sight.t <= SEEN else None
             done.sent += sender.send(Message(hand, held))
-            said = ("sending" if sender.heard else UNHEARD) + ("" if hand else "; no hand is seen")
-            if said != line:
-                line = said
-                say(said)
+            text = ("sending" if sender.heard else UNHEARD) + ("" if hand else "; no hand is seen")
+            if text != line:
+                line = text
+                say(text)
             if eyes.gone:
                 done.ended, done.failed = eyes.gone, True
             elif eyes.over:
