@@ -131,7 +131,7 @@ def strangers(runs: Sequence[Missed]) -> list[str]:
         )
         if after > WORSE * before:
             notes.append(
-                f"run {k + 1} of {len(runs)}: what the model misses on the other runs makes this "
+                f"run {k + 1} of {len(runs)}: the error learned from the other runs makes this "
                 f"one worse ({before:.2f} → {after:.2f} mm RMS): another robot, load or "
                 "orientation; teach with runs of one state"
             )

@@ -164,7 +164,7 @@ def next(args: NextOptions) -> int:
         print(json.dumps(document, ensure_ascii=False, indent=1))
         return 0
     if found:
-        lines += ["What would settle it, best first", *(f"  {e}" for e in found)]
+        lines += ["Experiments that would settle it, best first", *(f"  {e}" for e in found)]
     elif made is None:
         lines += ["Nothing is open, so there is nothing to record."]
     if made is not None:

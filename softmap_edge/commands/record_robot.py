@@ -223,7 +223,7 @@ def _broken(robot: Controller, keeper: Keeper) -> SoftmapError | None:
     return (
         None
         if keeper.fault is None
-        else SoftmapError(f"what is seen is kept no more: {keeper.fault}")
+        else SoftmapError(f"the camera frames are no longer recorded: {keeper.fault}")
     )
 
 

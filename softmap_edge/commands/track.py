@@ -161,9 +161,7 @@ def track(args: TrackOptions) -> int:
     }
     idle = [option for option, value in only_driving.items() if value is not None]
     if args.plan and idle:
-        raise SoftmapError(
-            f"{idle[0]} is of what is driven, and --plan drives nothing; leave one of them out"
-        )
+        raise SoftmapError(f"{idle[0]} needs a robot, and --plan moves none; leave one of them out")
     behind = late(args, LATE[0] if args.sim else 0.0)
     load_own(args)
     model = open_model(args.bundle)
@@ -234,7 +232,7 @@ def track(args: TrackOptions) -> int:
     if driven is not None:
         robot.check_recorded()
     if kept is not None and kept.fault is not None:
-        raise SoftmapError(f"{seen_in}: what was seen is kept no more ({kept.fault}); see to that")
+        raise SoftmapError(f"{seen_in}: the camera frames are no longer recorded ({kept.fault})")
     return 0
 
 

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 RESIDUAL = "residual"
 NUMBERS = {
-    "restored": "the rod's own numbers are again what they were before the effect was added",
+    "restored": "the parameters of the rod are again those before the effect was added",
     "kept": (
         "the rod's own numbers stay as they were fitted with the effect, since this bundle does "
         "not hold those of before; `softmap learn` fits them again"
@@ -515,8 +515,8 @@ def _write(args: AddOptions | RemoveOptions | RefitOptions, model: Model, report
         print(NUMBERS[report["numbers"]])
     if "relative_to" in report:
         print(
-            "what was added is relative to a reference run: what the model misses on that run it "
-            "misses still"
+            "the added effects are relative to a reference run: the errors of the model on that "
+            "run remain"
         )
     if "residual" in report:
         print(

@@ -216,8 +216,8 @@ def commands_not_followed(record: Record, predicted: Floats) -> str | None:
         )
     return (
         f"What is seen does not follow the commands: the points move by {moved:.3g} mm RMS, and "
-        f"with whatever effect the model explains {100 * max(share, 0.0):.0f} % of that (fitted). "
-        f"{why}; no effect is named. Look at the order and the clock of the frames, at the "
+        f"with any effect the model explains at most {100 * max(share, 0.0):.0f} % of that "
+        f"(fitted). {why}; no effect is named. Look at the order and the clock of the frames, at the "
         "columns and signs of the commands, and whether it is this robot."
     )
 

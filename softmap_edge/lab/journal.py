@@ -94,7 +94,7 @@ class State:
             file = _diagnosis_file(line.get("file"))
             key = line.get("inputs")
             if not isinstance(key, str) or not HEX.fullmatch(key):
-                raise LabError("'inputs' of a diagnosis is no hash")
+                raise LabError("'inputs' of a diagnosis is not a hash")
             return replace(self, diagnosed=file, diagnosed_for=key, diagnoses=self.diagnoses + 1)
         if do == "accepted":
             return replace(self, accepted=(*self.accepted, _step(line)), undone=())
@@ -267,7 +267,7 @@ def _hashes(inputs: Inputs) -> tuple[str, ...]:
 
 def _diagnosis_file(name: object) -> str:
     if not isinstance(name, str) or not DIAGNOSIS.fullmatch(name):
-        raise LabError(f"{name!r:.40} is no diagnosis of this folder")
+        raise LabError(f"{name!r:.40} is not a diagnosis of this folder")
     return name
 
 

@@ -37,7 +37,7 @@ FITS = 100.0  # ratio of sizes within one robot's markers at most
 NEAR = 10.0
 LONGEST = 200  # characters of a name
 STEADY = 1e-3  # of its length: variation of a triple of constant length
-_OFFSET = "an offset, for they never change"
+_OFFSET = "an offset, because they never change"
 DIRECTIONS = (1.0, 9.81)  # length of a direction, and of gravity in m/s²
 
 _OTHER: tuple[tuple[str, str], ...] = (
@@ -259,7 +259,7 @@ def _misfit(family: _Set, known: _Set) -> str | None:
         return (
             "angles, within ±π"
             if known.largest > np.pi
-            else "angles or places in m, for they are within ±π"
+            else "angles or places in m, because they are within ±π"
         )
     if not known.size / FITS < family.size < known.size * FITS:
         return f"no place: they are of size {family.size:.3g}, the places of size {known.size:.3g}"

@@ -314,7 +314,7 @@ def _obey(bus: _core.EmulatedBus, finger: EmulatedFinger | None) -> None:
                     print(f"{line.strip()}: {refused}; {known}", file=sys.stderr)
                 except (ValueError, OverflowError):
                     print(
-                        f"{line.strip()}: not all of it are numbers of that kind; {known}",
+                        f"{line.strip()}: some of its values are not numbers of that kind; {known}",
                         file=sys.stderr,
                     )
         to_stderr(

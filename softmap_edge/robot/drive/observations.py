@@ -238,7 +238,7 @@ def read_kept(file: Path) -> Kept:
         message = "".join(c if c.isprintable() else "?" for c in f"{fault!s:.60}")
         raise RunError(
             f"{file}: damaged, or no `.seen` file of a recording ({message}); without it the "
-            "recording is one of which nothing was seen"
+            "recording counts as one without camera frames"
         ) from None
     return kept
 
