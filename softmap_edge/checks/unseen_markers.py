@@ -167,7 +167,8 @@ def _frozen(run: Run, seen: Mask) -> Iterator[str]:
         yield (
             f"{listed(_those(run.marker_names, stuck), _NAMED)}: the same to the last digit in all "
             f"{run.frames} frames while others change, so nothing about {_it(stuck)} can be "
-            f'checked; leave {_it(stuck)} out, or keep {_it(stuck)} with not_seen = "keep" in the mapping'
+            f"checked; leave {_it(stuck)} out, or keep {_it(stuck)} with "
+            'not_seen = "keep" in the mapping'
         )
 
 

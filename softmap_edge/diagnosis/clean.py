@@ -50,7 +50,7 @@ from softmap_edge.noise.floor import noise_of_points
 from softmap_edge.noise.repeats import LEAST_DWELL, undrifted
 from softmap_edge.run.conditions import conditions
 from softmap_edge.run.folds import LEAST_FRAMES
-from softmap_edge.run.run import known
+from softmap_edge.run.run import as_runs, known
 
 if TYPE_CHECKING:
     from softmap_edge.model.model import Model
@@ -164,11 +164,9 @@ def clean_record(
     Raises:
         SoftmapError: as for `clean_run` and `record_of`.
     """
-    given = list(run) if isinstance(run, Sequence) else [run]
+    given = as_runs(run)
     parts = [clean_run(model, one) for one in given]
-    several = (
-        reference if isinstance(reference, Sequence) else [] if reference is None else [reference]
-    )
+    several = as_runs(reference)
     record = record_of(
         model, [p.run for p in parts], [clean_run(model, one).run for one in several] or None
     )
@@ -217,8 +215,8 @@ def commands_not_followed(record: Record, predicted: Floats) -> str | None:
     return (
         f"What is seen does not follow the commands: the points move by {moved:.3g} mm RMS, and "
         f"with any effect the model explains at most {100 * max(share, 0.0):.0f} % of that "
-        f"(fitted). {why}; no effect is named. Look at the order and the clock of the frames, at the "
-        "columns and signs of the commands, and whether it is this robot."
+        f"(fitted). {why}; no effect is named. Look at the order and the clock of the frames, at "
+        "the columns and signs of the commands, and whether it is this robot."
     )
 
 

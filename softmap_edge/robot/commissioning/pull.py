@@ -96,8 +96,8 @@ class Pulled:
         """Return how its ceiling was found, as text."""
         low, high = self.legs
         return (
-            f"{when}: {_leg_text(low)}, {_leg_text(high)}, at {self.slew:g} ticks/s; times {MARGIN:g}, "
-            f"and {IDLE:g} of stall"
+            f"{when}: {_leg_text(low)}, {_leg_text(high)}, at {self.slew:g} ticks/s; "
+            f"times {MARGIN:g}, and {IDLE:g} of stall"
         )
 
 
