@@ -304,8 +304,9 @@ class _Blocks:
         self.weight = np.diag(self.alone)
         along = np.zeros(self.count)
         for slope, error in zip(fitted.slope.T, fitted.error.T):
-            # (F, B)
-            inner = np.stack([np.bincount(self.of, column * slope, self.count) for column in q.T])
+            inner = np.stack(
+                [np.bincount(self.of, column * slope, self.count) for column in q.T]
+            )  # (F, B)
             self.weight -= inner.T @ inner
             along += np.bincount(self.of, slope * error, self.count)
         counts = np.maximum(np.bincount(self.of, minlength=self.count), 1)

@@ -535,6 +535,7 @@ def _write(args: AddOptions | RemoveOptions | RefitOptions, model: Model, report
 
 
 def teller(args: JsonOption) -> Callable[[str], None] | None:
+    """Return a function that prints progress; None with --json, or without a terminal."""
     if args.json or not sys.stderr.isatty():
         return None
     return lambda line: print(line, file=sys.stderr)

@@ -57,10 +57,9 @@ class LiveError:
 
     def to_dict(self) -> Document:
         """Return it as a document softmap.live/1."""
-        values = {name: value for name, value in vars(self).items()}
         plain = {
-            k: None if isinstance(v, float) and not math.isfinite(v) else v
-            for k, v in values.items()
+            name: None if isinstance(value, float) and not math.isfinite(value) else value
+            for name, value in vars(self).items()
         }
         return {"schema": SCHEMA, **plain, "recent_s": RECENT}
 

@@ -122,7 +122,7 @@ class Space:
         return sets
 
     def sigma(self, x: Floats, deviation: Floats) -> Floats:
-        """Return one standard deviation in user units of scaled deviations at x."""
+        """Return standard deviations (D,) in user units of scaled deviations (D,) at x."""
         return np.asarray(np.where(self.log, np.abs(self.values(x)), 1.0) * self._scale * deviation)
 
     def pinned(self, x: Floats) -> Space:
@@ -376,7 +376,7 @@ class Problem:
         return found
 
     def uncertainty(self, fit: Fit, dispersion: float) -> Floats:
-        """Return each free parameter's standard deviation in user units.
+        """Return the standard deviation (D,) of each free parameter, in user units.
 
         It includes the over-dispersion.
         """

@@ -118,7 +118,7 @@ def simulator_of(finger: Finger) -> Simulator:
 
 
 def grid_axes(finger: Finger, steps: int | None = None) -> list[Floats]:
-    """Return the axes of a sweep of `finger`, in its command unit.
+    """Return the axis (n,) of each command in a sweep of `finger`, in its command unit.
 
     Raises SoftmapError for more than three commands.
     """

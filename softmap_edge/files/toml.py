@@ -145,11 +145,13 @@ class TomlTable:
 
 
 def kind(value: object) -> str:
+    """Return the kind of a value and the value itself, for a message."""
     name = _KINDS.get(type(value), type(value).__name__)
     return f"{name} {shown(value)!r}"
 
 
 def shown(value: object) -> str:
+    """Return a value as text of at most 40 characters."""
     try:
         return str(value)[:40]
     except ValueError:  # Python does not print integers of more than 4300 digits

@@ -498,6 +498,7 @@ def _thinned(t: Floats, values: Floats) -> tuple[Floats, Floats]:
 
 
 def rms(values: Floats) -> float:
+    """Return the RMS of the finite values; NaN if there are none."""
     known = values[np.isfinite(values)]
     return math.sqrt(float(np.mean(known**2))) if len(known) else math.nan
 
@@ -514,6 +515,7 @@ def svg(figure: Figure) -> bytes:
 
 
 def png(figure: Figure) -> bytes:
+    """Return a figure as PNG, 200 dots per inch."""
     return _saved(figure, "png", dpi=200, metadata={"Software": None})
 
 

@@ -32,7 +32,8 @@ _TRY = """
 import sys
 from mediapipe.tasks import python
 from mediapipe.tasks.python import vision
-options = vision.HandLandmarkerOptions(base_options=python.BaseOptions(model_asset_path=sys.argv[1]))
+base = python.BaseOptions(model_asset_path=sys.argv[1])
+options = vision.HandLandmarkerOptions(base_options=base)
 vision.HandLandmarker.create_from_options(options).close()
 """
 _tried: set[str] = set()  # models with which a child process has created a task
