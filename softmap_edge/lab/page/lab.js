@@ -14,6 +14,7 @@ const SPEED = 20;      // frames per second while playing
 
 let state = null, run = null, where = null, number = 0, frame = 0, mask = null, maskWords = "", playing = 0, tab = "see", most = 1, asked = -1;
 let shapes = new Map(), version = 0, worstFrames = [], checking = false;
+let broken = { model: "", why: "" };  // the last check that ended in an error, and its accepted steps
 const scene = new Scene($("scene"));
 const timeline = new Timeline($("timeline"), go, (first, last) => select(Uint8Array.from({ length: run.frames }, (_, k) => Number(k >= first && k <= last)), `frames ${first} to ${last}`));
 const steps = new Steps({ say, trial: () => draw(), frame: () => frame, run: () => number });
@@ -31,6 +32,7 @@ connect(
   },
   async () => {
     try {
+      broken = { model: "", why: "" };
       changed((await ask("state")).state);
       steps.setLibrary((await ask("library")).library);
     } catch (fault) { failed(fault); }
@@ -57,12 +59,18 @@ function changed(now) {
 
 /** Check again after each change of the model: what follows needs it. */
 function check() {
-  if (checking || state.check.state !== "not done" || state.busy) return;
+  if (checking || state.check.state !== "not done" || state.busy || broken.model === model()) return;
   checking = true;
-  ask("check").catch(failed).finally(() => { checking = false; });
+  ask("check").catch(fault => { broken = { model: model(), why: fault.message }; failed(fault); }).finally(() => { checking = false; });
 }
 
-const ready = () => state.busy ? "Working …" : `Ready. Accepted steps: ${state.accepted.length}.`;
+const model = () => JSON.stringify(state.accepted);
+
+function ready() {
+  if (state.busy) return "Working …";
+  if (state.check.state === "not done" && broken.model === model()) return broken.why;
+  return `Ready. Accepted steps: ${state.accepted.length}.`;
+}
 
 function showCheck() {
   const check = state.check, passed = check.state === "passed";
