@@ -16,6 +16,7 @@ from softmap_edge.logs.chance import is_improbable
 from softmap_edge.logs.never_seen import at_one_number, never_seen
 from softmap_edge.noise.floor import commanded
 from softmap_edge.run.run import NOT_SEEN, Run, known, text_in
+from softmap_edge.run.stretches import stretches_of
 
 Mask = NDArray[np.bool_]
 Places = NDArray[np.float64]
@@ -96,9 +97,7 @@ def _it(chosen: Mask) -> str:
 
 def _longest(unseen: Mask) -> tuple[int, int]:
     """Return the longest stretch of true values: its first index, and the one after it."""
-    edges = np.flatnonzero(np.diff(np.r_[False, unseen, False].astype(int))).reshape(-1, 2)
-    first, end = max(edges.tolist(), key=lambda pair: pair[1] - pair[0], default=(0, 0))
-    return int(first), int(end)
+    return max(stretches_of(unseen), key=lambda pair: pair[1] - pair[0], default=(0, 0))
 
 
 def _stretches(run: Run, seen: Mask, names: list[str]) -> Iterator[str]:

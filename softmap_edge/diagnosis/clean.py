@@ -51,6 +51,7 @@ from softmap_edge.noise.repeats import LEAST_DWELL, undrifted
 from softmap_edge.run.conditions import conditions
 from softmap_edge.run.folds import LEAST_FRAMES
 from softmap_edge.run.run import as_runs, known
+from softmap_edge.run.stretches import stretches_of
 
 if TYPE_CHECKING:
     from softmap_edge.model.model import Model
@@ -390,7 +391,8 @@ def _repeated(model: Model, run: Run, u: Floats, seen: Floats, visible: Mask) ->
     moving = same & (change > STEPPED)
     if moving.sum() < 2:
         return none
-    stretches = [(a, b) for a, b in _stretches(same) if moving[a:b].any()]
+    # the first frame, and the last repetition
+    stretches = [(a, b) for a, b in stretches_of(same) if moving[a:b].any()]
     ended = [(a, b, b + 1) for a, b in stretches if b + 1 < run.frames]
     if ended and catches_up(ended, seen, visible, np.asarray(model.predict(run), float)):
         return again
@@ -401,12 +403,6 @@ def _repeated(model: Model, run: Run, u: Floats, seen: Floats, visible: Mask) ->
     # a camera with noise never repeats a frame
     never = still.sum() >= 2 and float(same[still].mean()) < SELDOM
     return again if never else none
-
-
-def _stretches(same: Mask) -> list[tuple[int, int]]:
-    """Return the first frame and the last repetition of each stretch of repeated frames."""
-    edges = np.flatnonzero(np.diff(np.r_[False, same, False].astype(int)))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
 # --- points -------------------------------------------------------------------------------------
