@@ -59,7 +59,7 @@ def align_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `run align`."""
     parser.add_argument("run", help="a run (.npz or .mcap) in the frame of the camera or mocap")
     parser.add_argument(
-        "--bundle", metavar="DIR", help="the model of this robot; default: the built-in finger"
+        "--bundle", metavar="DIR", help="the model of this robot (default: the built-in finger)"
     )
     effects_argument(parser)
     parser.add_argument(
@@ -262,7 +262,7 @@ def register_arguments(parser: argparse.ArgumentParser) -> None:
         ),
     )
     parser.add_argument(
-        "--bundle", metavar="DIR", help="the model of this finger; default: the built-in finger"
+        "--bundle", metavar="DIR", help="the model of this finger (default: the built-in finger)"
     )
     effects_argument(parser)
     parser.add_argument("--out", required=True, metavar="RUN", help="the run of vertices (.npz)")

@@ -43,7 +43,7 @@ def calibrate_arguments(parser: argparse.ArgumentParser) -> None:
         "run", help="a run (.npz or .mcap) with ticks and points, in the base frame"
     )
     parser.add_argument(
-        "--bundle", metavar="DIR", help="the model of this robot; default: the built-in finger"
+        "--bundle", metavar="DIR", help="the model of this robot (default: the built-in finger)"
     )
     effects_argument(parser)
     bundle_arguments(parser)

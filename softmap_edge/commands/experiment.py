@@ -329,11 +329,11 @@ def record_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--bundle",
         metavar="DIR",
-        help="the model that the commands are for; default: the built-in finger",
+        help="the model that the commands are for (default: the built-in finger)",
     )
     effects_argument(parser)
     parser.add_argument(
-        "--finger", metavar="FILE.toml", help="the simulated finger; default: the built-in one"
+        "--finger", metavar="FILE.toml", help="the simulated finger (default: the built-in one)"
     )
     hidden = parser.add_mutually_exclusive_group()
     hidden.add_argument(

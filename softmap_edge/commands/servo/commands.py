@@ -323,10 +323,10 @@ def _where(args: RebootOptions) -> tuple[str, int]:
 
 def _bus_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--port", metavar="PORT", help="a serial port; default: all of this machine"
+        "--port", metavar="PORT", help="a serial port (default: all of this machine)"
     )
     parser.add_argument(
-        "--baud", type=int, metavar="BAUD", help="one rate; default: all known rates"
+        "--baud", type=int, metavar="BAUD", help="one rate (default: all known rates)"
     )
 
 
@@ -358,7 +358,7 @@ class ReadOptions:
 
 def _read_arguments(parser: argparse.ArgumentParser) -> None:
     _scan_arguments(parser)
-    parser.add_argument("--id", type=int, metavar="ID", help="one servo; default: all that answer")
+    parser.add_argument("--id", type=int, metavar="ID", help="one servo (default: all that answer)")
 
 
 @dataclass(frozen=True)
