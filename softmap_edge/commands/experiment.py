@@ -87,7 +87,9 @@ def next_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--out", metavar="CSV", help="write the commands, for `softmap record`")
     parser.add_argument(
-        "--standard", action="store_true", help="the standard protocol for this robot, no diagnosis"
+        "--standard",
+        action="store_true",
+        help="the standard protocol for this robot, without a diagnosis",
     )
     parser.add_argument(
         "--protocol",

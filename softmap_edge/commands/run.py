@@ -61,8 +61,8 @@ def _cut_arguments(parser: argparse.ArgumentParser) -> None:
         default=0.0,
         metavar="S",
         help=(
-            "keep the commands of this many seconds before each piece, so that memory is still "
-            "right (0)"
+            "keep the commands of this many seconds before each piece, so that effects with "
+            "memory start right (0)"
         ),
     )
     _out_arguments(

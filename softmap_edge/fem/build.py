@@ -70,7 +70,7 @@ def build_model(
 ) -> Model:
     """Simulate `finger` over its command range and return its table model.
 
-    `steps` commands a channel (odd, at least 5; usually 41, or 13 of three channels) over its
+    `steps` commands per channel (odd, at least 5; usually 41, or 13 of three channels) over its
     command range. `progress` is called with (what, share of all work). Raises NoEquilibriumError
     if there is no equilibrium, SoftmapError for a bad argument.
     """

@@ -75,7 +75,9 @@ def limits_arguments(parser: argparse.ArgumentParser) -> None:
         "--rig", required=True, metavar="FILE.toml", help="the rig: its servos, ceiling and stops"
     )
     parser.add_argument(
-        "--bundle", metavar="DIR", help="the finger, with its calibration (the built-in one)"
+        "--bundle",
+        metavar="DIR",
+        help="the model, with its calibration (default: the built-in finger)",
     )
     effects_argument(parser)
     parser.add_argument(

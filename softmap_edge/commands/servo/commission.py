@@ -243,7 +243,9 @@ def pull_arguments(parser: argparse.ArgumentParser) -> None:
         "--rig", required=True, metavar="FILE.toml", help="the rig; ceilings are written into it"
     )
     parser.add_argument(
-        "--bundle", metavar="DIR", help="the finger, with its calibration (the built-in one)"
+        "--bundle",
+        metavar="DIR",
+        help="the model, with its calibration (default: the built-in finger)",
     )
     effects_argument(parser)
     parser.add_argument("--servo", type=int, metavar="ID", help="this servo alone (default: all)")

@@ -46,7 +46,7 @@ def heartbeat_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--new-key",
         metavar="FILE",
-        help="make a key, to be copied to both computers; nothing beats",
+        help="make a key to copy to both computers; send no heartbeat",
     )
     parser.add_argument("--every", type=float, metavar="S", help=f"between beats ({EVERY:g})")
 

@@ -93,7 +93,7 @@ def move_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--bundle",
         metavar="DIR",
-        help="bundle with the calibration (default: built-in finger)",
+        help="the model, with its calibration (default: the built-in finger)",
     )
     effects_argument(parser)
     parser.add_argument("--servo", type=int, metavar="ID", help="jog this servo, by --by")
