@@ -143,9 +143,9 @@ class GuardStopped(ServoError):
     cause: str = ""
 
     @classmethod
-    def by(cls, said: str, cause: object) -> "GuardStopped":
+    def by(cls, message: str, cause: object) -> "GuardStopped":
         """Return the error with its cause."""
-        fault = cls(said)
+        fault = cls(message)
         fault.cause = str(cause)
         return fault
 

@@ -28,6 +28,7 @@ from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.errors import CalibrationError, SoftmapError
 from softmap_edge.files.atomic import Document
+from softmap_edge.run.run import as_runs
 
 if TYPE_CHECKING:
     from softmap_edge.model.model import Model
@@ -164,7 +165,7 @@ def adapt(
         SoftmapError: a measurement fault, too few frames, or runs of another robot.
     """
     say = progress or (lambda line: None)
-    runs = list(run) if isinstance(run, Sequence) else [run]
+    runs = as_runs(run)
     base = model.with_residual(None)
     if not runs:
         raise SoftmapError("no run is given; an adaptation needs at least one")

@@ -31,7 +31,7 @@ from softmap_edge.files.atomic import Document
 from softmap_edge.model.training_range import span
 from softmap_edge.model.views import laid
 from softmap_edge.run.folds import Folds, run_folds
-from softmap_edge.run.run import known
+from softmap_edge.run.run import as_runs, known
 from softmap_edge.sweep.scattered import ScatteredFit, fit_scattered, half_range
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def learn_residual(model: Model, run: Run | Sequence[Run]) -> tuple[Model, Docum
             own.
     """
     base = model.with_residual(None)
-    runs = list(run) if isinstance(run, Sequence) else [run]
+    runs = as_runs(run)
     each, times = _missed(base, runs)
     commands, missed, seen = (np.concatenate(rows) for rows in zip(*each))
     taught = missed * ~_still(base, commands)
@@ -131,7 +131,7 @@ def strangers(runs: Sequence[Missed]) -> list[str]:
         )
         if after > WORSE * before:
             notes.append(
-                f"run {k + 1} of {len(runs)}: what the model misses on the other runs makes this "
+                f"run {k + 1} of {len(runs)}: the error learned from the other runs makes this "
                 f"one worse ({before:.2f} → {after:.2f} mm RMS): another robot, load or "
                 "orientation; teach with runs of one state"
             )

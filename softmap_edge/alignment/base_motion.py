@@ -26,7 +26,7 @@ from softmap_edge.alignment.result import base_markers
 from softmap_edge.files.atomic import Document
 from softmap_edge.geometry.rigid import kabsch
 from softmap_edge.model.parameter_layout import Layout
-from softmap_edge.run.run import Run
+from softmap_edge.run.run import Run, as_runs
 
 if TYPE_CHECKING:
     from softmap_edge.model.model import Model
@@ -200,7 +200,7 @@ def base_of(
         reference: an earlier run, or None. With several, the result is None.
     """
     if reference is not None:
-        several = reference if isinstance(reference, Sequence) else [reference]
+        several = as_runs(reference)
         return base_motion(run, several[0]) if len(several) == 1 else None
     place = _place(model.made_from)
     return (

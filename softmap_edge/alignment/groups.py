@@ -106,7 +106,10 @@ def group(
         parts: the frames of each group.
     """
     shape = (len(parts), seen.shape[1], 3)
-    source, targets, squares, freedom = np.zeros(shape), np.zeros(shape), 0.0, 0
+    source = np.zeros(shape)
+    targets = np.zeros(shape)
+    squares = 0.0
+    freedom = 0
     count = np.array([visible[frames].sum(axis=0) for frames in parts])
     for g, frames in enumerate(parts):
         look = np.where(visible[frames][..., None], seen[frames], np.nan)

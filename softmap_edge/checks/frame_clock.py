@@ -304,8 +304,9 @@ class _Blocks:
         self.weight = np.diag(self.alone)
         along = np.zeros(self.count)
         for slope, error in zip(fitted.slope.T, fitted.error.T):
-            # (F, B)
-            inner = np.stack([np.bincount(self.of, column * slope, self.count) for column in q.T])
+            inner = np.stack(
+                [np.bincount(self.of, column * slope, self.count) for column in q.T]
+            )  # (F, B)
             self.weight -= inner.T @ inner
             along += np.bincount(self.of, slope * error, self.count)
         counts = np.maximum(np.bincount(self.of, minlength=self.count), 1)
@@ -367,14 +368,12 @@ class _Line:
 
     def at(self, t: Floats) -> Floats:
         """Return the delay (K,) s at times (K,) s."""
-        part = (
-            t - self.pivot
-            if self.kind == "line"
-            else (t >= self.pivot)
-            if self.kind == "step"
-            else np.zeros(len(t))
-        )
-        return np.asarray(self.value[0] + self.value[1] * part)
+        constant, slope = self.value
+        if self.kind == "line":
+            return np.asarray(constant + slope * (t - self.pivot))
+        if self.kind == "step":
+            return np.asarray(constant + slope * (t >= self.pivot))
+        return np.full(len(t), constant)
 
 
 def _best(blocks: _Blocks) -> _Line:

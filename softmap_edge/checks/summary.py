@@ -51,8 +51,8 @@ def summary(recorded: Run, model: Model | None = None) -> Document:
     - `home_known`: whether 0 can be home (`advice.home_unknown`).
     - `not_seen`: sentences on points that stand for "not seen"; these count as not visible, and the
       run is not sound.
-    - `unseen_parts`: sentences on what was never or hardly seen (`unseen_markers.unseen_parts`); these
-      are also `warnings`, and the run is not sound.
+    - `unseen_parts`: sentences on what was never or hardly seen (`unseen_markers.unseen_parts`);
+      these are also `warnings`, and the run is not sound.
     - `unanswered`: a sentence if commands and motion contradict each other, else None; such a run
       is not sound.
     - `can_tell`, `cannot_tell`: lists of `advice.Advice`, `{about, tells, text, remedy, minutes}`.

@@ -16,6 +16,7 @@ from softmap_edge.logs.chance import is_improbable
 from softmap_edge.logs.never_seen import at_one_number, never_seen
 from softmap_edge.noise.floor import commanded
 from softmap_edge.run.run import NOT_SEEN, Run, known, text_in
+from softmap_edge.run.stretches import stretches_of
 
 Mask = NDArray[np.bool_]
 Places = NDArray[np.float64]
@@ -51,7 +52,8 @@ def unseen_parts(run: Run) -> list[str]:
     if not seen.any():
         what = "point" if run.output is None else "output"
         return [
-            f"no {what} is seen in any of {run.frames} frames: nothing about this run can be checked"
+            f"no {what} is seen in any of {run.frames} frames: nothing about this run can be "
+            "checked"
         ]
     found = list(_unwatched(run, np.asarray(seen.any(axis=1))))
     if run.markers is None:
@@ -95,9 +97,7 @@ def _it(chosen: Mask) -> str:
 
 def _longest(unseen: Mask) -> tuple[int, int]:
     """Return the longest stretch of true values: its first index, and the one after it."""
-    edges = np.flatnonzero(np.diff(np.r_[False, unseen, False].astype(int))).reshape(-1, 2)
-    first, end = max(edges.tolist(), key=lambda pair: pair[1] - pair[0], default=(0, 0))
-    return int(first), int(end)
+    return max(stretches_of(unseen), key=lambda pair: pair[1] - pair[0], default=(0, 0))
 
 
 def _stretches(run: Run, seen: Mask, names: list[str]) -> Iterator[str]:
@@ -117,7 +117,8 @@ def _stretches(run: Run, seen: Mask, names: list[str]) -> Iterator[str]:
         yield (
             f"{listed(missing, _NAMED)}: not seen in frames {a} to {b}{when}, "
             f"{100 * (end - first) / len(frames):.0f} % of the recording; nothing about "
-            f"{'it' if len(missing) == 1 else 'them'} can be checked there: cut the run, or record again"
+            f"{'it' if len(missing) == 1 else 'them'} can be checked there: cut the run, or record "
+            "again"
         )
 
 
@@ -164,8 +165,9 @@ def _frozen(run: Run, seen: Mask) -> Iterator[str]:
     if stuck.any():
         yield (
             f"{listed(_those(run.marker_names, stuck), _NAMED)}: the same to the last digit in all "
-            f"{run.frames} frames while others change, so nothing about {_it(stuck)} can be checked; "
-            f'leave {_it(stuck)} out, or keep {_it(stuck)} with not_seen = "keep" in the mapping'
+            f"{run.frames} frames while others change, so nothing about {_it(stuck)} can be "
+            f"checked; leave {_it(stuck)} out, or keep {_it(stuck)} with "
+            'not_seen = "keep" in the mapping'
         )
 
 

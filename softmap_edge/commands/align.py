@@ -59,7 +59,7 @@ def align_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `run align`."""
     parser.add_argument("run", help="a run (.npz or .mcap) in the frame of the camera or mocap")
     parser.add_argument(
-        "--bundle", metavar="DIR", help="the model of this robot; default: the built-in finger"
+        "--bundle", metavar="DIR", help="the model of this robot (default: the built-in finger)"
     )
     effects_argument(parser)
     parser.add_argument(
@@ -221,7 +221,10 @@ def without(run: Run, names: list[int]) -> Run:
     keep = np.setdiff1d(np.arange(run.markers.shape[1]), names)
     if not len(keep):
         raise AlignError("--drop-base: no marker is left; the run needs markers on the robot too")
-    visible, sigma, rest, extra = run.visible, run.sigma, run.marker_rest, run.extra
+    visible = run.visible
+    sigma = run.sigma
+    rest = run.marker_rest
+    extra = run.extra
     labels = extra.get("marker_labels")
     if labels is not None and labels.shape == (run.markers.shape[1],):
         extra = extra | {"marker_labels": labels[keep]}
@@ -259,7 +262,7 @@ def register_arguments(parser: argparse.ArgumentParser) -> None:
         ),
     )
     parser.add_argument(
-        "--bundle", metavar="DIR", help="the model of this finger; default: the built-in finger"
+        "--bundle", metavar="DIR", help="the model of this finger (default: the built-in finger)"
     )
     effects_argument(parser)
     parser.add_argument("--out", required=True, metavar="RUN", help="the run of vertices (.npz)")

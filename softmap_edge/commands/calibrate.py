@@ -43,7 +43,7 @@ def calibrate_arguments(parser: argparse.ArgumentParser) -> None:
         "run", help="a run (.npz or .mcap) with ticks and points, in the base frame"
     )
     parser.add_argument(
-        "--bundle", metavar="DIR", help="the model of this robot; default: the built-in finger"
+        "--bundle", metavar="DIR", help="the model of this robot (default: the built-in finger)"
     )
     effects_argument(parser)
     bundle_arguments(parser)
@@ -53,8 +53,8 @@ def calibrate_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         metavar="TICKS",
         help=(
-            "the home ticks of the rig, one a servo; the run's rest (dwelt at most "
-            "often) without it"
+            "the home ticks of the rig, one per servo (default: the position at which the run "
+            "rests most often)"
         ),
     )
     parser.add_argument(
@@ -67,7 +67,7 @@ def calibrate_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--grid",
         action="store_true",
-        help="match to the nearest shape of a grid and no further, as the paper",
+        help="match to the nearest shape of a grid only, as in the paper",
     )
     parser.add_argument("--plot", metavar="FILE.svg", help="draw matched pairs and their residuals")
 

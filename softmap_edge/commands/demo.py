@@ -167,12 +167,12 @@ def demo(args: DemoOptions) -> int:
     ticker = Ticker((lambda text: None) if args.json else (lambda text: print(text, flush=True)))
     say, before = ticker.say, WATCH.set(ticker)
     try:
-        return _told(args, say, started)
+        return _demonstrate(args, say, started)
     finally:
         WATCH.reset(before)
 
 
-def _told(args: DemoOptions, say: Callable[[str], None], started: float) -> int:
+def _demonstrate(args: DemoOptions, say: Callable[[str], None], started: float) -> int:
     names = _hidden_names(args.hide, args.seed)
     Path(args.out).mkdir(parents=True, exist_ok=True)  # fail before the work, not after it
     say("Taking the model of the built-in finger, made from a simulated sweep.")

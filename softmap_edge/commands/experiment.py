@@ -87,7 +87,9 @@ def next_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--out", metavar="CSV", help="write the commands, for `softmap record`")
     parser.add_argument(
-        "--standard", action="store_true", help="the standard protocol for this robot, no diagnosis"
+        "--standard",
+        action="store_true",
+        help="the standard protocol for this robot, without a diagnosis",
     )
     parser.add_argument(
         "--protocol",
@@ -164,7 +166,7 @@ def next(args: NextOptions) -> int:
         print(json.dumps(document, ensure_ascii=False, indent=1))
         return 0
     if found:
-        lines += ["What would settle it, best first", *(f"  {e}" for e in found)]
+        lines += ["Experiments that would settle it, best first", *(f"  {e}" for e in found)]
     elif made is None:
         lines += ["Nothing is open, so there is nothing to record."]
     if made is not None:
@@ -289,7 +291,10 @@ def record_arguments(parser: argparse.ArgumentParser) -> None:
     where.add_argument(
         "--emulated",
         action="store_true",
-        help="on emulated servos with a finger on them, in simulated time: as fast as the computer can",
+        help=(
+            "on emulated servos with a finger on them, in simulated time: as fast as the computer "
+            "can"
+        ),
     )
     where.add_argument(
         "--rig", metavar="FILE.toml", help="on the servos of this rig, seen by --camera"
@@ -326,11 +331,11 @@ def record_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--bundle",
         metavar="DIR",
-        help="the model that the commands are for; default: the built-in finger",
+        help="the model that the commands are for (default: the built-in finger)",
     )
     effects_argument(parser)
     parser.add_argument(
-        "--finger", metavar="FILE.toml", help="the simulated finger; default: the built-in one"
+        "--finger", metavar="FILE.toml", help="the simulated finger (default: the built-in one)"
     )
     hidden = parser.add_mutually_exclusive_group()
     hidden.add_argument(
@@ -434,11 +439,11 @@ def record(args: RecordOptions) -> int:
     }
     apart = "" if args.truth is None else f"; its truth in {args.truth}"
     after = next_command("compare", args.out, bundle=args.bundle)
-    said = (
+    sentence = (
         f"{run}\n{'virtual, ' if args.virtual else ''}simulated; written to {args.out}{apart}\n"
         f"{after}"
     )
-    print(json.dumps(document, ensure_ascii=False) if args.json else said)
+    print(json.dumps(document, ensure_ascii=False) if args.json else sentence)
     return 0
 
 

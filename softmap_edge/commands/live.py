@@ -48,7 +48,7 @@ def compare_live(args: CompareOptions) -> int:
         effects = ", ".join(model.chain_names) or "none"
         if not args.json:
             print(f"'{model.robot}', effects of the model: {effects}; Ctrl-C ends it", flush=True)
-        said, now = -LINES, live.compared()
+        printed, now = -LINES, live.compared()
         with contextlib.suppress(KeyboardInterrupt):
             begun = time.monotonic()
             while True:
@@ -58,8 +58,8 @@ def compare_live(args: CompareOptions) -> int:
                 t = time.monotonic() - begun
                 if sys.stdout.isatty() and not args.json:
                     print(f"\r{printable(str(now))}", end="", file=raw(sys.stdout), flush=True)
-                elif t - said >= LINES:
-                    said = t
+                elif t - printed >= LINES:
+                    printed = t
                     print(json.dumps(now.to_dict()) if args.json else now, flush=True)
                 if loop.ended or (args.seconds is not None and t >= args.seconds):
                     break
@@ -98,11 +98,11 @@ def _begun(path: str) -> Following:
     return Following(path)
 
 
-def _summary(now: LiveError, effects: str, said: str) -> str:
+def _summary(now: LiveError, effects: str, ending: str) -> str:
     lines = [
         "",
         f"{now}",
-        f"worst frame {now.worst_mm:.2f} mm; effects of the model: {effects}; {said}",
+        f"worst frame {now.worst_mm:.2f} mm; effects of the model: {effects}; {ending}",
     ]
     if not now.frames:
         lines.append("nothing was compared: no frame came while the servos were heard")

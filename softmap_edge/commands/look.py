@@ -44,9 +44,7 @@ def predict_arguments(parser: argparse.ArgumentParser) -> None:
             "a run (.npz or .mcap), or one command in the unit of the model, comma-separated: 8,-3"
         ),
     )
-    parser.add_argument(
-        "--bundle", metavar="DIR", help="bundle folder (default: the built-in finger)"
-    )
+    parser.add_argument("--bundle", metavar="DIR", help="the model (default: the built-in finger)")
     effects_argument(parser)
     parser.add_argument("--out", help="write the predicted points (K, N, 3) mm to this .npz")
 

@@ -49,11 +49,11 @@ def build_arguments(parser: argparse.ArgumentParser) -> None:
         "finger",
         nargs="?",
         help="finger.toml, or a sweep (.npz) of `softmap model sweep` or of another simulator "
-        "(docs/do/import_sweep.md); without it the built-in finger",
+        "(docs/do/import_sweep.md; default: the built-in finger)",
     )
     bundle_arguments(parser)
     parser.add_argument(
-        "--steps", type=int, help="commands a channel in the sweep (41, of three channels 13)"
+        "--steps", type=int, help="commands per channel in the sweep (41; for three channels 13)"
     )
 
 
@@ -227,16 +227,18 @@ class SweepOptions:
 
 def sweep_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `model sweep`."""
-    parser.add_argument("finger", nargs="?", help="finger.toml; without it the built-in finger")
+    parser.add_argument("finger", nargs="?", help="finger.toml (default: the built-in finger)")
     parser.add_argument(
         "--out",
         required=True,
         help=(
-            "sweep to write: a file (.npz), or a Zarr store (.zarr), which the same command goes "
-            f"on with after it was stopped, at most a chunk lost (a .zarr needs {TRAINING})"
+            "sweep to write: a file (.npz), or a Zarr store (.zarr); the same command continues a "
+            f"store after an interruption, and at most one chunk is lost (a .zarr needs {TRAINING})"
         ),
     )
-    parser.add_argument("--steps", type=int, help="commands a channel (41, of three channels 13)")
+    parser.add_argument(
+        "--steps", type=int, help="commands per channel (41; for three channels 13)"
+    )
     parser.add_argument(
         "--dask",
         metavar="ADDRESS",
@@ -332,7 +334,7 @@ def _finger(path: str | None) -> Finger:
 
 def _check_steps(steps: int | None) -> None:
     if steps is not None and not 5 <= steps <= 201:
-        raise SoftmapError(f"--steps {steps}: give 5 to 201 commands a channel")
+        raise SoftmapError(f"--steps {steps}: give 5 to 201 commands per channel")
 
 
 def _interval(text: str) -> tuple[float, float]:

@@ -149,14 +149,14 @@ def recover(args: RecordOptions, seen_file: Path) -> int:
         "recovered": args.recover,
     }
     document |= {"lacks": played.lacks}
-    said = f"{run}\n{run.frames} of {made.frames} frames; written to {args.out}"
-    said = "\n".join(
+    text = f"{run}\n{run.frames} of {made.frames} frames; written to {args.out}"
+    text = "\n".join(
         [
-            said,
+            text,
             *filter(None, [recorded.incomplete if recorded.short == CUT else None, played.lacks]),
         ]
     )
-    print(json.dumps(document, ensure_ascii=False) if args.json else said)
+    print(json.dumps(document, ensure_ascii=False) if args.json else text)
     return 0
 
 
@@ -223,7 +223,7 @@ def _broken(robot: Controller, keeper: Keeper) -> SoftmapError | None:
     return (
         None
         if keeper.fault is None
-        else SoftmapError(f"what is seen is kept no more: {keeper.fault}")
+        else SoftmapError(f"the camera frames are no longer recorded: {keeper.fault}")
     )
 
 

@@ -61,8 +61,8 @@ def _cut_arguments(parser: argparse.ArgumentParser) -> None:
         default=0.0,
         metavar="S",
         help=(
-            "keep the commands of this many seconds before each piece, so that memory is still "
-            "right (0)"
+            "keep the commands of this many seconds before each piece, so that effects with "
+            "memory start right (0)"
         ),
     )
     _out_arguments(
@@ -201,9 +201,9 @@ def _join(args: JoinOptions) -> int:
     check_file("--out", args.out, ".npz")
     check_no_run("--out", args.out, args.force)
     runs = [open_run(path) for path in args.runs]
-    whole = join_runs(runs, args.gap, args.drop)
-    whole.save(args.out)
-    document = contents(whole) | {"doubts": join_doubts(runs, args.gap)}
+    joined = join_runs(runs, args.gap, args.drop)
+    joined.save(args.out)
+    document = contents(joined) | {"doubts": join_doubts(runs, args.gap)}
     if args.json:
         print(
             json.dumps({"schema": "softmap.join/1", "out": args.out} | document, ensure_ascii=False)

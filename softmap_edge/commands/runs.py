@@ -171,7 +171,7 @@ def check(args: CheckOptions) -> int:
     """Check whether a run or bundle is valid, and print its content; return 0 if valid, else 1."""
     path = _existing(args.path)
     load_own(args)
-    kind = "bundle" if path.is_dir() else "sweep" if is_shape_sweep(path) else "run"
+    kind = _kind_of(path)
     document: Document = {"schema": SCHEMA, "path": str(path), "kind": kind}
     found: Document = {}
     try:
@@ -198,10 +198,23 @@ def check(args: CheckOptions) -> int:
         lines += (
             effect_lines(document["effects"]) if args.bundle and document["kind"] == "run" else []
         )
-        state = "sound" if document["sound"] else "damaged" if found.get("fault") else "not sound"
+        state = _state_of(document, found)
         lines += [_after_check(path, kind, args.bundle)] if document["sound"] else []
         print("\n".join([f"{state:<10}{path}", *lines]))
     return DONE if document["sound"] else FAULT
+
+
+def _kind_of(path: Path) -> str:
+    """Return whether a file is a bundle, a sweep or a run."""
+    if path.is_dir():
+        return "bundle"
+    return "sweep" if is_shape_sweep(path) else "run"
+
+
+def _state_of(document: Document, found: Document) -> str:
+    if document["sound"]:
+        return "sound"
+    return "damaged" if found.get("fault") else "not sound"
 
 
 def _after_check(path: Path, kind: str, bundle: str | None) -> str:
@@ -271,8 +284,9 @@ def show(args: ShowOptions) -> int:
     print("\n".join(sweep_sentences(read_summary(path))) if run is None else run)
     for field in fields:
         span = "" if field["low"] is None else f"{field['low']:g} to {field['high']:g}"
+        name = shortened(one_line(field["name"]), 60)
         print(
-            f"  {shortened(one_line(field['name']), 60):<14} {field['shape']!s:<16} {field['type']:<8} "
+            f"  {name:<14} {field['shape']!s:<16} {field['type']:<8} "
             f"{span or one_line(field['text'] or '')}"
         )
     for label, values in [] if run is None else _traces(run):

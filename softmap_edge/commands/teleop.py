@@ -156,10 +156,10 @@ def teleop(args: TeleopOptions) -> int:
         return DONE
     if args.new_key:
         new_key(args.new_key)
-        said = (
+        text = (
             f"{args.new_key}: a new key; copy it to the other computer, where only you can read it"
         )
-        _print(args, {"key": args.new_key}, said)
+        _print(args, {"key": args.new_key}, text)
         return DONE
     if args.seconds is not None and not 0 < args.seconds <= 1e6:
         raise TeleopError(f"--seconds {args.seconds:g}; allowed is above 0, up to 1000000")
@@ -169,7 +169,7 @@ def teleop(args: TeleopOptions) -> int:
 def _drive(args: TeleopOptions) -> int:
     check_driven(args)
     load_own(args)
-    whole = open_model(args.bundle)
+    loaded = open_model(args.bundle)
     flips = _flips(args.flip)
     with contextlib.ExitStack() as stack:
         eyes = stack.enter_context(_eyes(args, stack))
@@ -191,7 +191,7 @@ def _drive(args: TeleopOptions) -> int:
                 "nothing can drive: no page, no terminal, no camera; leave --page none away"
             )
         driven = stack.enter_context(
-            driven_robot(args.rig, whole, args.hide, args.seed, person=True)
+            driven_robot(args.rig, loaded, args.hide, args.seed, person=True)
         )
         model = driven_model(args, driven.model)
         kinematics = Kinematics(model, axes="xy" if args.tip else "xyz")

@@ -161,32 +161,30 @@ def track(args: TrackOptions) -> int:
     }
     idle = [option for option, value in only_driving.items() if value is not None]
     if args.plan and idle:
-        raise SoftmapError(
-            f"{idle[0]} is of what is driven, and --plan drives nothing; leave one of them out"
-        )
+        raise SoftmapError(f"{idle[0]} needs a robot, and --plan moves none; leave one of them out")
     behind = late(args, LATE[0] if args.sim else 0.0)
     load_own(args)
-    whole = open_model(args.bundle)
+    model = open_model(args.bundle)
     if args.table:
-        return _table(args, whole)
+        return _table(args, model)
     if args.workspace:
-        return _workspace(args, Kinematics(driven_model(args, whole), axes=args.axes or "xyz"))
+        return _workspace(args, Kinematics(driven_model(args, model), axes=args.axes or "xyz"))
     tracked = kept = None
     with contextlib.ExitStack() as stack:
         driven = (
             None
             if args.plan
-            else stack.enter_context(driven_robot(args.rig, whole, args.hide, args.seed))
+            else stack.enter_context(driven_robot(args.rig, model, args.hide, args.seed))
         )
         seen = None if driven is None else stack.enter_context(_eyes(args, driven))
-        calibration = driven.calibration if driven else whole.calibration or plain_map(whole)
+        calibration = driven.calibration if driven else model.calibration or plain_map(model)
         kinematics = Kinematics(
-            driven_model(args, driven.model if driven else whole), axes=args.axes or "xy"
+            driven_model(args, driven.model if driven else model), axes=args.axes or "xy"
         )
         limits = (
             driven.limits["servos"]
             if driven
-            else [servo_limits(SERVO, 0, (-1000.0, 1000.0))] * whole.channels
+            else [servo_limits(SERVO, 0, (-1000.0, 1000.0))] * model.channels
         )
         planned = course(
             kinematics,
@@ -234,7 +232,7 @@ def track(args: TrackOptions) -> int:
     if driven is not None:
         robot.check_recorded()
     if kept is not None and kept.fault is not None:
-        raise SoftmapError(f"{seen_in}: what was seen is kept no more ({kept.fault}); see to that")
+        raise SoftmapError(f"{seen_in}: the camera frames are no longer recorded ({kept.fault})")
     return 0
 
 

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 RESIDUAL = "residual"
 NUMBERS = {
-    "restored": "the rod's own numbers are again what they were before the effect was added",
+    "restored": "the parameters of the rod are again those before the effect was added",
     "kept": (
         "the rod's own numbers stay as they were fitted with the effect, since this bundle does "
         "not hold those of before; `softmap learn` fits them again"
@@ -201,7 +201,7 @@ def diagnose(args: DiagnoseOptions) -> int:
     names = [name for text in args.effects if not text.endswith(".py") for name in _names(text)]
     files = [path for path in args.effects if path.endswith(".py")]
     own = load_own(replace(args, effects=files))
-    wanted = [*dict.fromkeys([*names, *own])] if names else None
+    searched = [*dict.fromkeys([*names, *own])] if names else None
     model = open_model(args.bundle)
     runs, references = (
         [open_run(path, model) for path in paths] for paths in (args.runs, args.reference or [])
@@ -209,7 +209,7 @@ def diagnose(args: DiagnoseOptions) -> int:
     held_out = None if args.held_out is None else open_run(args.held_out, model)
     for run in [*runs, *references]:
         warn_outside("diagnose", model, run)
-    found = find(model, runs, held_out, wanted, teller(args), reference=references or None)
+    found = find(model, runs, held_out, searched, teller(args), reference=references or None)
     text = json.dumps(found.to_dict(), indent=1) if args.json else str(found)
     try:  # files before the text: a reader may close the pipe
         if args.out:
@@ -515,8 +515,8 @@ def _write(args: AddOptions | RemoveOptions | RefitOptions, model: Model, report
         print(NUMBERS[report["numbers"]])
     if "relative_to" in report:
         print(
-            "what was added is relative to a reference run: what the model misses on that run it "
-            "misses still"
+            "the added effects are relative to a reference run: the errors of the model on that "
+            "run remain"
         )
     if "residual" in report:
         print(
@@ -535,6 +535,7 @@ def _write(args: AddOptions | RemoveOptions | RefitOptions, model: Model, report
 
 
 def teller(args: JsonOption) -> Callable[[str], None] | None:
+    """Return a function that prints progress; None with --json, or without a terminal."""
     if args.json or not sys.stderr.isatty():
         return None
     return lambda line: print(line, file=sys.stderr)

@@ -285,7 +285,7 @@ def aligned(model: Model, run: Run) -> tuple[Floats, Floats, Mask]:
 
 
 def mean_root(squared: Floats, visible: Mask, axis: int) -> Floats:
-    """RMS along an axis over the visible values; NaN if there are none."""
+    """Return the RMS mm of squares (K, N) mm² along an axis, of visible ones; NaN without any."""
     count = visible.sum(axis=axis)
     total = squared.sum(axis=axis)
     return np.asarray(
@@ -294,7 +294,7 @@ def mean_root(squared: Floats, visible: Mask, axis: int) -> Floats:
 
 
 def tips(model: Model, predicted: Floats, seen: Floats, visible: Mask) -> tuple[Floats, Floats]:
-    """Measured and predicted tip centroids over the visible tip points of each frame, else NaN.
+    """Return measured and predicted tips (K, 3) mm, means of the visible tip points, else NaN.
 
     If markers are carried on a template, the marker that moves most is the tip.
     """

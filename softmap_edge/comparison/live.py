@@ -57,10 +57,9 @@ class LiveError:
 
     def to_dict(self) -> Document:
         """Return it as a document softmap.live/1."""
-        values = {name: value for name, value in vars(self).items()}
         plain = {
-            k: None if isinstance(v, float) and not math.isfinite(v) else v
-            for k, v in values.items()
+            name: None if isinstance(value, float) and not math.isfinite(value) else value
+            for name, value in vars(self).items()
         }
         return {"schema": SCHEMA, **plain, "recent_s": RECENT}
 
@@ -99,13 +98,11 @@ class Live:
         self._first: float | None = None  # time of the first frame, s
         # time s, mean square mm², points; of the last RECENT s
         self._errors: deque[tuple[float, float, int]] = deque()
-        self._square, self._points, self._worst, self._frames, self.left_out = (
-            0.0,
-            0,
-            math.nan,
-            0,
-            0,
-        )
+        self._square = 0.0
+        self._points = 0
+        self._worst = math.nan
+        self._frames = 0
+        self.left_out = 0
 
     def drove(self, periods: Iterable[Document]) -> None:
         """Add periods of a loop; ignore those in which a servo did not reply.

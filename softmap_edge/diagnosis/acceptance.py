@@ -190,6 +190,7 @@ def one_pose(body: FeatureBody) -> bool:
 
 
 def order_of(family: Family) -> int:
+    """Return the place of a family among equals: the simplest first."""
     return 0 if family.name == "static map" else SIMPLER[family.kind]
 
 

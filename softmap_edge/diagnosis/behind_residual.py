@@ -108,11 +108,13 @@ def masked(fits: Fits, fit: Fit) -> ResidualConfounds | None:
 def _may_be(fits: Fits, fit: Fit, left: Floats) -> list[tuple[str, float]]:
     record = fits.problem.record
     known = registry()
-    wanted = [e for e in fits.candidates if e not in fit.effects and not known[e].is_fault]
-    if not wanted:
+    missing = [e for e in fits.candidates if e not in fit.effects and not known[e].is_fault]
+    if not missing:
         return []
-    alone = Fits(_as_if_seen(fits, left), wanted)
-    best = sorted((alone.get((effect,)) for effect in wanted), key=lambda one: one.cost)[:LOOKED_AT]
+    alone = Fits(_as_if_seen(fits, left), missing)
+    best = sorted((alone.get((effect,)) for effect in missing), key=lambda one: one.cost)[
+        :LOOKED_AT
+    ]
     found = []
     for one in best:
         (effect,) = one.effects

@@ -1,6 +1,7 @@
 """Laws whose parameters change within a run: with temperature, time, speed or bend.
 
-    p(t) ≈ p + θ c(t)  for each fitted parameter p of a law, c a condition with mean 0 and variance 1
+    p(t) ≈ p + θ c(t)  for each fitted parameter p of a law
+    c: a condition with mean 0 and variance 1
 
 The slopes of the prediction over the parameters, times the condition, are columns of the normal
 equations at level 1. A law is constant unless these columns explain a good part of the loss that it

@@ -50,7 +50,8 @@ from softmap_edge.noise.floor import noise_of_points
 from softmap_edge.noise.repeats import LEAST_DWELL, undrifted
 from softmap_edge.run.conditions import conditions
 from softmap_edge.run.folds import LEAST_FRAMES
-from softmap_edge.run.run import known
+from softmap_edge.run.run import as_runs, known
+from softmap_edge.run.stretches import stretches_of
 
 if TYPE_CHECKING:
     from softmap_edge.model.model import Model
@@ -164,11 +165,9 @@ def clean_record(
     Raises:
         SoftmapError: as for `clean_run` and `record_of`.
     """
-    given = list(run) if isinstance(run, Sequence) else [run]
+    given = as_runs(run)
     parts = [clean_run(model, one) for one in given]
-    several = (
-        reference if isinstance(reference, Sequence) else [] if reference is None else [reference]
-    )
+    several = as_runs(reference)
     record = record_of(
         model, [p.run for p in parts], [clean_run(model, one).run for one in several] or None
     )
@@ -216,9 +215,9 @@ def commands_not_followed(record: Record, predicted: Floats) -> str | None:
         )
     return (
         f"What is seen does not follow the commands: the points move by {moved:.3g} mm RMS, and "
-        f"with whatever effect the model explains {100 * max(share, 0.0):.0f} % of that (fitted). "
-        f"{why}; no effect is named. Look at the order and the clock of the frames, at the "
-        "columns and signs of the commands, and whether it is this robot."
+        f"with any effect the model explains at most {100 * max(share, 0.0):.0f} % of that "
+        f"(fitted). {why}; no effect is named. Look at the order and the clock of the frames, at "
+        "the columns and signs of the commands, and whether it is this robot."
     )
 
 
@@ -392,7 +391,8 @@ def _repeated(model: Model, run: Run, u: Floats, seen: Floats, visible: Mask) ->
     moving = same & (change > STEPPED)
     if moving.sum() < 2:
         return none
-    stretches = [(a, b) for a, b in _stretches(same) if moving[a:b].any()]
+    # the first frame, and the last repetition
+    stretches = [(a, b) for a, b in stretches_of(same) if moving[a:b].any()]
     ended = [(a, b, b + 1) for a, b in stretches if b + 1 < run.frames]
     if ended and catches_up(ended, seen, visible, np.asarray(model.predict(run), float)):
         return again
@@ -403,12 +403,6 @@ def _repeated(model: Model, run: Run, u: Floats, seen: Floats, visible: Mask) ->
     # a camera with noise never repeats a frame
     never = still.sum() >= 2 and float(same[still].mean()) < SELDOM
     return again if never else none
-
-
-def _stretches(same: Mask) -> list[tuple[int, int]]:
-    """Return the first frame and the last repetition of each stretch of repeated frames."""
-    edges = np.flatnonzero(np.diff(np.r_[False, same, False].astype(int)))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
 # --- points -------------------------------------------------------------------------------------

@@ -239,11 +239,13 @@ def _family(
     named = [answer.law] if answer.law is not None else []
     others = () if answer.resolved else answer.equals
     effects = [e for law in (*named, *others) for e in law.effects]
-    resolved = answer.resolved and not any(set(one.effects) & set(effects) for one in changes)
+    law = "open" if answer.open else "unknown"
+    if answer.resolved and not any(set(one.effects) & set(effects) for one in changes):
+        law = "resolved"
     return FamilyFinding(
         answer.family.name,
         answer.family.kind,
-        "resolved" if resolved else "open" if answer.open else "unknown",
+        law,
         tuple(dict.fromkeys(effects)),
         float(np.clip(own / explained, 0.0, 1.0)),
         answer.representative.moved_mm,

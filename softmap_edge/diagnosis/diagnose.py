@@ -53,6 +53,7 @@ from softmap_edge.model.learned_in import LearnedNumber
 from softmap_edge.model.servo_calibration import converted
 from softmap_edge.model.training_range import BEYOND
 from softmap_edge.run.folds import withheld
+from softmap_edge.run.run import as_runs
 
 if TYPE_CHECKING:
     from softmap_edge.model.model import Model
@@ -115,7 +116,7 @@ def diagnose(
     )
     candidates = [name for name in candidates if name not in fixed]
     remarks += [text for name, text in fixed.items() if effects is None or name in effects]
-    teacher = TaughtRuns.by(model, list(run) if isinstance(run, Sequence) else [run])
+    teacher = TaughtRuns.by(model, as_runs(run))
     problem, outcome = _searched(record, candidates, progress, teacher)
     held = teacher.hidden(record, candidates)
     candidates, impossible = (
@@ -192,14 +193,8 @@ def _apart(
     run: Run | Sequence[Run], held_out: Run | None, reference: Run | Sequence[Run] | None
 ) -> None:
     """Reject a recording given twice: it would count twice, or validate its own fit."""
-    runs = list(run) if isinstance(run, Sequence) else [run]
-    others = (
-        list(reference)
-        if isinstance(reference, Sequence)
-        else []
-        if reference is None
-        else [reference]
-    )
+    runs = as_runs(run)
+    others = as_runs(reference)
     hashes = [one.hash() for one in runs]
     if len(set(hashes)) < len(hashes):
         raise SoftmapError(

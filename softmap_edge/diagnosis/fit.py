@@ -62,13 +62,11 @@ class Space:
         layout = record.layout(own + tuple(e for e in effects if e not in own), split)
         self.split, self.full = tuple(split), layout.full
         self.names, self.labels, self.units = layout.names, layout.labels, layout.units
-        null, start, low, high, limit = (
-            layout.null,
-            layout.start,
-            layout.low,
-            layout.high,
-            layout.limit,
-        )
+        null = layout.null
+        start = layout.start
+        low = layout.low
+        high = layout.high
+        limit = layout.limit
         searched = set(free or effects)
         identifiable = [label.split("@")[0] not in record.untold for label in self.labels]
         self.free = np.array(
@@ -124,7 +122,7 @@ class Space:
         return sets
 
     def sigma(self, x: Floats, deviation: Floats) -> Floats:
-        """Return one standard deviation in user units of scaled deviations at x."""
+        """Return standard deviations (D,) in user units of scaled deviations (D,) at x."""
         return np.asarray(np.where(self.log, np.abs(self.values(x)), 1.0) * self._scale * deviation)
 
     def pinned(self, x: Floats) -> Space:
@@ -378,7 +376,7 @@ class Problem:
         return found
 
     def uncertainty(self, fit: Fit, dispersion: float) -> Floats:
-        """Return each free parameter's standard deviation in user units.
+        """Return the standard deviation (D,) of each free parameter, in user units.
 
         It includes the over-dispersion.
         """

@@ -154,7 +154,7 @@ def _key(fit: Fit) -> Key:
 
 
 def starts(problem: Problem, effect: str) -> list[Floats]:
-    """Return scaled starts of an effect: declared, other signs, along log scales and time.
+    """Return scaled starts (D,) of an effect: declared, other signs, along log scales and time.
 
     Every combination of integers is a separate start. Slack tendons have a kink at home, where the
     slope on one side does not determine the other.

@@ -188,12 +188,10 @@ class _Asked:
     def __init__(
         self, state: State, fits: Fits, representative: Representative, before: Floats
     ) -> None:
-        self.state, self.fits, self.representative, self.before = (
-            state,
-            fits,
-            representative,
-            before,
-        )
+        self.state = state
+        self.fits = fits
+        self.representative = representative
+        self.before = before
         self.body: FeatureBody = state.body
         static = representative.family.kind == "static"
         self.form = rule.form_of(static, representative.moved_mm, self.body.ordinary_mm)

@@ -28,6 +28,7 @@ from softmap_edge.model.servo_calibration import converted
 from softmap_edge.model.views import laid
 from softmap_edge.run.conditions import Conditions, conditions
 from softmap_edge.run.plane import unmeasured_parameters
+from softmap_edge.run.run import as_runs
 
 if TYPE_CHECKING:
     from softmap_edge.model.model import Model
@@ -76,7 +77,7 @@ class Record:
         )
         self._bind(run)
         if reference is not None:
-            several = reference if isinstance(reference, Sequence) else [reference]
+            several = as_runs(reference)
             self.replay, missed, form = pair(self, [Record(model, one) for one in several])
             met = np.isfinite(missed).any(axis=1)
             if not met.all():

@@ -21,6 +21,7 @@ from softmap_edge.errors import SoftmapError
 from softmap_edge.files.atomic import Document
 from softmap_edge.model.parameter_layout import Layout
 from softmap_edge.run.conditions import Conditions
+from softmap_edge.run.run import as_runs
 
 if TYPE_CHECKING:
     from softmap_edge.model.model import Model
@@ -209,7 +210,7 @@ def record_of(
     Raises:
         SoftmapError: no run, runs not measured in the same way, a reference of other commands.
     """
-    runs = list(run) if isinstance(run, Sequence) else [run]
+    runs = as_runs(run)
     if not runs:
         raise SoftmapError("no run is given; a diagnosis needs at least one")
     if len(runs) == 1:

@@ -312,7 +312,7 @@ def _training_gain(
 def best_ridge(
     level: _core.Level, names: list[str], ridges: list[float], name: str
 ) -> tuple[Floats, float]:
-    """Return the least held-out loss with one more block, and its ridge strength.
+    """Return the least held-out loss (folds,) with one more block, and its ridge strength.
 
     The loss has one minimum over the strength, so the search descends from the second strength.
     """

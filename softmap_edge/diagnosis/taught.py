@@ -88,13 +88,12 @@ class TaughtRuns:
             memory = f"memory was learned as well: {', '.join(self.learned_in)} (in its chain)"
         else:
             memory = "memory was tested as well, and none was added to its chain"
-        who = (
-            "this run"
-            if self.count == 1
-            else "these runs"
-            if self.all
-            else f"run {', '.join(map(str, self.runs))}"
-        )
+        if self.count == 1:
+            who = "this run"
+        elif self.all:
+            who = "these runs"
+        else:
+            who = f"run {', '.join(map(str, self.runs))}"
         held = "its static map holds what was static then, so no static effect can show"
         if not self.free:
             held = (

@@ -70,9 +70,9 @@ def build_model(
 ) -> Model:
     """Simulate `finger` over its command range and return its table model.
 
-    `steps` commands a channel (odd, at least 5; usually 41, or 13 of three channels) over its
-    command range. `progress` is called with (what, share of all work). Raises NoEquilibriumError if there is no
-    equilibrium, SoftmapError for a bad argument.
+    `steps` commands per channel (odd, at least 5; usually 41, or 13 of three channels) over its
+    command range. `progress` is called with (what, share of all work). Raises NoEquilibriumError
+    if there is no equilibrium, SoftmapError for a bad argument.
     """
     report: Progress = progress or (lambda what, share: None)
     simulator = simulator_of(finger)
@@ -118,7 +118,7 @@ def simulator_of(finger: Finger) -> Simulator:
 
 
 def grid_axes(finger: Finger, steps: int | None = None) -> list[Floats]:
-    """Return the axes of a sweep of `finger`, in its command unit.
+    """Return the axis (n,) of each command in a sweep of `finger`, in its command unit.
 
     Raises SoftmapError for more than three commands.
     """
@@ -275,7 +275,9 @@ def form_error(
     rng = np.random.default_rng(FORM_SEED)
     low, high = model.command_range.T
     meshed = isinstance(finger.solid, Meshed)
-    count = (MESHED_COMMANDS if meshed else FORM_COMMANDS) if model.channels else 1
+    count = 1
+    if model.channels:
+        count = MESHED_COMMANDS if meshed else FORM_COMMANDS
     commands = rng.uniform(low * 0.85, high * 0.85, (count, model.channels))
     if finger.command_unit == "N":  # no tendon is pulled below zero: stay inside the range
         commands = low + (high - low) * rng.uniform(0.075, 0.925, commands.shape)

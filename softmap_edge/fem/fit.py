@@ -469,7 +469,10 @@ def _descend(problem: _FitProblem, names: Sequence[str]) -> _Found:
             damping *= 30.0
         if not better:
             break
-        step, y, left, damping = np.abs(ahead - y), ahead, left_ahead, damping / 10.0
+        step = np.abs(ahead - y)
+        y = ahead
+        left = left_ahead
+        damping = damping / 10.0
         if max(step[:count].max(initial=0.0), 30.0 * step[count:].max()) < 0.01:
             break
     gradients = weight * np.einsum("pkf,kf->pk", slopes, left)

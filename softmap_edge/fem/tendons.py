@@ -246,15 +246,13 @@ def check_commands(
             raise FingerError(
                 f"{name}: {shown(list(limits))}; expected [low, high] in {unit}, as [-16.0, 16.0]"
             )
-        most = 1000.0 if unit == "N" else 500.0 if height is None else height / 2
+        if unit == "N":
+            most, what = 1000.0, "1000 N"
+        elif height is None:
+            most, what = 500.0, "500 mm"
+        else:
+            most, what = height / 2, f"half the height, ±{height / 2:g} mm"
         if max(abs(limits[0]), abs(limits[1])) > most:
-            what = (
-                "1000 N"
-                if unit == "N"
-                else "500 mm"
-                if height is None
-                else f"half the height, ±{height / 2:g} mm"
-            )
             raise FingerError(f"{name}: {list(limits)!r}; allowed is {what}")
         if unit == "N" and len(pair) == 1 and limits[0] < 0:
             raise FingerError(

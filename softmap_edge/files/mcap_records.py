@@ -146,7 +146,10 @@ def read_closing(file: BinaryIO, size: int) -> Closing | None:
 
 
 def _stated(closing: Closing, summary: bytes) -> Closing:
-    counts, total, spans, defined = None, None, {}, []
+    counts = None
+    total = None
+    spans = {}
+    defined = []
     try:
         for kind, body in split(summary):
             if kind == STATISTICS:

@@ -31,9 +31,9 @@ def mm(value: object) -> str:
         return "–"
     if abs(value) >= LARGEST:
         return f"{value:.1e}"
-    return (
-        f"{value:.3f}" if abs(value) < 1 else f"{value:.2f}" if abs(value) < 10 else f"{value:.1f}"
-    )
+    if abs(value) < 1:
+        return f"{value:.3f}"
+    return f"{value:.2f}" if abs(value) < 10 else f"{value:.1f}"
 
 
 def fall(before: float, after: float, floor: float | None = None) -> float | None:

@@ -36,7 +36,8 @@ _TEXTS = (  # comments and strings, in which dots join nothing
     r"#[^\n]*+",
     r'"""(?:[^"\\]|\\.|"(?!""))*+(?:"""|\\?\Z)',
     r"'''(?:[^']|'(?!''))*+(?:'''|\Z)",
-    rf"{_BASIC[:-1]}(?:\"|(?=\n)|\\?\Z)",  # without an end, up to that of the line: no second search
+    # without an end, up to that of the line: no second search
+    rf"{_BASIC[:-1]}(?:\"|(?=\n)|\\?\Z)",
     rf"{_LITERAL[:-1]}(?:'|(?=\n)|\Z)",
 )
 _TOKENS = re.compile(rf"(?P<long>{_LONG_KEY})|{'|'.join(_TEXTS)}", re.DOTALL)
@@ -144,11 +145,13 @@ class TomlTable:
 
 
 def kind(value: object) -> str:
+    """Return the kind of a value and the value itself, for a message."""
     name = _KINDS.get(type(value), type(value).__name__)
     return f"{name} {shown(value)!r}"
 
 
 def shown(value: object) -> str:
+    """Return a value as text of at most 40 characters."""
     try:
         return str(value)[:40]
     except ValueError:  # Python does not print integers of more than 4300 digits

@@ -35,7 +35,10 @@ AS_GOOD = 1.1  # a simpler line is taken if its unevenness is at most this multi
 GRAPH = 1500  # points at most in the graph
 NEIGHBOURS = 8
 FAR = 0.5  # of the body's extent: if all points are farther from the base, they do not begin there
-DEGREE, SIDE_DEGREE, CURVE_DEGREE, RADIUS_DEGREE = 8, 3, 4, 2
+DEGREE = 8
+SIDE_DEGREE = 3
+CURVE_DEGREE = 4
+RADIUS_DEGREE = 2
 ROUNDS = 15
 ONE_PLACE = 1e-6  # mm; rounding moves points by less
 

@@ -28,7 +28,11 @@ MODEL = "model"  # bundle with the accepted steps
 OURS = re.compile(r"journal\.jsonl|model|\.model\..*|demo_run\.npz|diagnosis-[1-9]\d{0,5}\.json")
 DIAGNOSIS = re.compile(r"diagnosis-[1-9]\d{0,5}\.json")
 MOST = 16 << 20  # bytes of a journal
-MOST_EFFECTS, MOST_NUMBERS, LONGEST_NAME = 64, 512, 200
+MOST_EFFECTS = 64
+MOST_RUNS = 64
+MOST_NUMBERS = 512
+LONGEST_NAME = 200  # characters
+LARGEST = 1e12  # of a number
 HEX = re.compile(r"[0-9a-f]{64}")
 
 
@@ -87,9 +91,10 @@ class State:
         """
         do = line.get("do")
         if do == "diagnosed":
-            file, key = _diagnosis_file(line.get("file")), line.get("inputs")
+            file = _diagnosis_file(line.get("file"))
+            key = line.get("inputs")
             if not isinstance(key, str) or not HEX.fullmatch(key):
-                raise LabError("'inputs' of a diagnosis is no hash")
+                raise LabError("'inputs' of a diagnosis is not a hash")
             return replace(self, diagnosed=file, diagnosed_for=key, diagnoses=self.diagnoses + 1)
         if do == "accepted":
             return replace(self, accepted=(*self.accepted, _step(line)), undone=())
@@ -171,15 +176,15 @@ class Journal:
         if size > MOST:
             raise self._damaged(1, f"{size >> 20} MB; journals of up to {MOST >> 20} MB are read")
         content = os.pread(self._file, size, 0)
-        whole = content[: content.rfind(b"\n") + 1]
-        lines = whole.splitlines()
+        complete = content[: content.rfind(b"\n") + 1]
+        lines = complete.splitlines()
         if not lines:
             if inputs is None:
                 raise LabError(f"{_shown(self.folder)}: holds no session; give its runs")
             os.ftruncate(self._file, 0)
             self._write({"do": "open", "schema": SCHEMA, **asdict(inputs)})
             return State(inputs)
-        os.ftruncate(self._file, len(whole))
+        os.ftruncate(self._file, len(complete))
         state = State(self._first(lines[0]))
         if inputs is not None and _hashes(inputs) != _hashes(state.inputs):
             raise LabError(
@@ -199,7 +204,7 @@ class Journal:
             if first.get("do") != "open" or first.get("schema") != SCHEMA:
                 raise LabError(f"schema {first.get('schema')!r:.40}, expected {SCHEMA!r}")
             runs = first.get("runs")
-            if not isinstance(runs, list) or not 1 <= len(runs) <= MOST_EFFECTS:
+            if not isinstance(runs, list) or not 1 <= len(runs) <= MOST_RUNS:
                 raise LabError("it names no runs")
             return Inputs(tuple(map(_source, runs)), _source(first.get("bundle")))
         except LabError as fault:
@@ -245,7 +250,10 @@ def _object(line: bytes) -> Document:
 
 
 def _source(entry: object) -> Source:
-    path, digest = (entry.get(k) for k in ("path", "sha256")) if isinstance(entry, dict) else "??"
+    if not isinstance(entry, dict):
+        raise LabError("an input has no path or no hash")
+    path = entry.get("path")
+    digest = entry.get("sha256")
     if not (path is None or isinstance(path, str)) or not isinstance(digest, str):
         raise LabError("an input has no path or no hash")
     if not HEX.fullmatch(digest):
@@ -259,12 +267,13 @@ def _hashes(inputs: Inputs) -> tuple[str, ...]:
 
 def _diagnosis_file(name: object) -> str:
     if not isinstance(name, str) or not DIAGNOSIS.fullmatch(name):
-        raise LabError(f"{name!r:.40} is no diagnosis of this folder")
+        raise LabError(f"{name!r:.40} is not a diagnosis of this folder")
     return name
 
 
 def _step(line: Document) -> Step:
-    file, errors = line.get("diagnosis"), line.get("errors_mm", [])
+    file = line.get("diagnosis")
+    errors = line.get("errors_mm", [])
     return Step(
         names_in(line.get("effects")),
         numbers_in(line.get("params", {})),
@@ -280,9 +289,11 @@ def _list(value: object) -> list[Any]:
 
 
 def _number(value: object) -> float:
-    if type(value) not in (int, float) or not math.isfinite(value) or abs(value) > 1e12:  # type: ignore[arg-type]
+    number = value if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
+    # also true for NaN, and for an int that no float can hold
+    if not abs(number) <= LARGEST:
         raise LabError(f"{value!r:.40} is no finite number")
-    return float(value)  # type: ignore[arg-type]
+    return float(number)
 
 
 def names_in(value: object) -> tuple[str, ...]:
@@ -309,10 +320,9 @@ def numbers_in(value: object) -> dict[str, float]:
     return {str(label)[:LONGEST_NAME]: _number(number) for label, number in value.items()}
 
 
-def accepted_line(step: Step) -> Document:
-    """Return the line of an accepted step."""
+def step_document(step: Step) -> Document:
+    """Return a step as in a line of the journal, for JSON."""
     return {
-        "do": "accepted",
         "effects": list(step.effects),
         "params": dict(step.params),
         "diagnosis": step.diagnosis,

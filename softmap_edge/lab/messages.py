@@ -70,29 +70,29 @@ def read_request(message: str | bytes) -> Request:
     if not isinstance(message, str):
         raise BadRequest("a request is text, not binary")
     try:
-        said = json.loads(message, parse_constant=lambda name: None)
+        document = json.loads(message, parse_constant=lambda name: None)
     except (ValueError, RecursionError):
         raise BadRequest("a request is a JSON object; this is no JSON") from None
-    if not isinstance(said, dict):
+    if not isinstance(document, dict):
         raise BadRequest("a request is a JSON object")
-    number = said.get("id")
+    number = document.get("id")
     known = number if type(number) is int and 0 <= number < LARGEST else None
     try:
         if known is None:
             raise BadRequest("a request has an 'id', a whole number from 0")
-        do = said.get("do")
+        do = document.get("do")
         if not isinstance(do, str) or do not in KEYS:
             raise BadRequest(f"no request {do!r:.40}; there are {', '.join(KEYS)}")
-        wanted = {"id", "do", *KEYS[do]}
-        if set(said) != wanted:
-            raise BadRequest(f"the request '{do}' has the keys {', '.join(sorted(wanted))}")
+        required = {"id", "do", *KEYS[do]}
+        if set(document) != required:
+            raise BadRequest(f"the request '{do}' has the keys {', '.join(sorted(required))}")
         return Request(
             known,
             do,
-            run=_index("run", said.get("run", 0)),
-            frame=_index("frame", said.get("frame", 0)),
-            effects=names_in(said.get("effects", [])),
-            params=numbers_in(said.get("params", {})),
+            run=_index("run", document.get("run", 0)),
+            frame=_index("frame", document.get("frame", 0)),
+            effects=names_in(document.get("effects", [])),
+            params=numbers_in(document.get("params", {})),
         )
     except LabError as fault:
         bad = BadRequest(str(fault))

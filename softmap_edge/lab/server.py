@@ -116,8 +116,8 @@ class LabServer:
                 try:
                     self._jobs.put_nowait((connection, request))
                 except queue.Full:
-                    said = f"{MOST_WAITING} requests wait already; try again when they are done"
-                    self._send(connection, text({"re": request.id, "error": said}))
+                    why = f"{MOST_WAITING} requests wait already; try again when they are done"
+                    self._send(connection, text({"re": request.id, "error": why}))
         finally:
             with self._lock:
                 self._pages.pop(connection, None)
@@ -129,7 +129,7 @@ class LabServer:
             with lock, contextlib.suppress(closed, OSError):
                 connection.send(message)
 
-    def _tell_all(self, event: Document) -> None:
+    def _notify(self, event: Document) -> None:
         with self._lock:
             pages = list(self._pages)
         for page in pages:
@@ -142,22 +142,20 @@ class LabServer:
             connection, request = job
             if request.do in CHANGING:
                 self._busy = request.do
-                self._tell_all({"event": "busy", "do": request.do})
+                self._notify({"event": "busy", "do": request.do})
             self._answer(connection, request)
             self._busy = ""
             if request.do in CHANGING:
-                self._tell_all({"event": "changed", "state": self._state()})
+                self._notify({"event": "changed", "state": self._state()})
 
     def _answer(self, connection: ServerConnection, request: Request) -> None:
         try:
             message = self._answered(request)
-        except SoftmapError as fault:
-            message = text({"re": request.id, "error": one_line(str(fault))})
-        except OSError as fault:
+        except (SoftmapError, OSError) as fault:
             message = text({"re": request.id, "error": one_line(str(fault))})
         except Exception as fault:  # a fault of ours must not end the worker
-            said = f"{request.do} failed: {type(fault).__name__}: {one_line(str(fault))[:200]}"
-            message = text({"re": request.id, "error": said})
+            why = f"{request.do} failed: {type(fault).__name__}: {one_line(str(fault))[:200]}"
+            message = text({"re": request.id, "error": why})
         self._send(connection, message)
 
     def _state(self) -> Document:
@@ -191,7 +189,7 @@ class LabServer:
             case "check":
                 session.check()
             case "diagnose":
-                session.diagnose(lambda line: self._tell_all({"event": "progress", "line": line}))
+                session.diagnose(lambda line: self._notify({"event": "progress", "line": line}))
             case "accept":
                 session.accept(request.effects, request.params)
             case "accept_diagnosis":

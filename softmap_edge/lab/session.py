@@ -26,7 +26,7 @@ from softmap_edge.errors import LabError, SoftmapError
 from softmap_edge.experiment.choose import next_experiment
 from softmap_edge.files.atomic import Document, write_atomically
 from softmap_edge.files.printable import one_line
-from softmap_edge.lab.journal import MODEL, Journal, Step, accepted_line, as_inputs
+from softmap_edge.lab.journal import MODEL, Journal, Step, as_inputs, step_document
 from softmap_edge.lab.views import Prediction, View, predicted_by, rms_of, view_of
 from softmap_edge.model.bundle import save_bundle
 from softmap_edge.model.effect_info import registry
@@ -76,7 +76,9 @@ class Session:
     def __init__(
         self, folder: str | Path, runs: Sequence[NamedRun], model: Model, bundle: str | None
     ) -> None:
-        self.runs, self.bundle, self._base = tuple(runs), bundle, model
+        self.runs = tuple(runs)
+        self.bundle = bundle
+        self._base = model
         if outputs := [one.name for one in runs if one.run.output is not None]:
             raise LabError(
                 f"{outputs[0]}: the lab shows points, and this run holds outputs; use `softmap "
@@ -117,9 +119,7 @@ class Session:
     def document(self) -> Document:
         """Return the state for the page."""
         with self._lock:
-            state, checked = self.journal.state, self._checked
-            here = checked is not None and checked.key == self.key
-            passed = here and checked is not None and not checked.faults
+            state = self.journal.state
             return {
                 "schema": SCHEMA,
                 "folder": one_line(str(self.journal.folder)),
@@ -128,21 +128,27 @@ class Session:
                 "bundle": "built-in finger" if self.bundle is None else one_line(self.bundle),
                 "effects": list(self.model.chain_names),
                 "params": self.model.params,
-                "check": {
-                    "state": "passed" if passed else "failed" if here else "not done",
-                    "faults": list(checked.faults) if here and checked else [],
-                    "remarks": list(checked.remarks) if here and checked else [],
-                },
+                "check": self._check_document(),
                 "revision": self._revision,
                 "diagnosis_current": state.diagnosed_for == self.key,
-                "accepted": [_plain(step) for step in state.accepted],
-                "undone": [_plain(step) for step in state.undone],
+                "accepted": [step_document(step) for step in state.accepted],
+                "undone": [step_document(step) for step in state.undone],
                 "base_errors_mm": [
                     rms_of(view.before, view)
                     for k in range(len(self.runs))
                     if (view := self._views.get(k)) is not None
                 ],
             }
+
+    def _check_document(self) -> Document:
+        checked = self._present_check()
+        if checked is None:
+            return {"state": "not done", "faults": [], "remarks": []}
+        return {
+            "state": "failed" if checked.faults else "passed",
+            "faults": list(checked.faults),
+            "remarks": list(checked.remarks),
+        }
 
     def diagnosis(self) -> Document | None:
         """Return the newest diagnosis of the folder; None without one."""
@@ -155,10 +161,12 @@ class Session:
         for info in registry().values():
             chain = _core.Chain([info.name], self.model.channels)
             ranges = ranges_of(self.model, chain)
-            first = {label: k for k, label in reversed([*enumerate(chain.group_labels)])}
+            first: dict[str, int] = {}  # place of each parameter's first label in the chain
+            for k, label in enumerate(chain.group_labels):
+                first.setdefault(label, k)
             meanings = {p.name: p for p in info.parameters}
             parameters: list[Document] = []
-            for label, k in sorted(first.items(), key=lambda pair: pair[1]):
+            for label, k in first.items():
                 meaning = meanings.get(label.split(".", 1)[1])
                 parameters.append(
                     {
@@ -225,7 +233,9 @@ class Session:
 
     def check(self) -> Checked:
         """Check all runs with the present model, as `softmap check` does."""
-        key, model, faults, remarks = self.key, self.model, list[str](), list[str]()
+        key, model = self.key, self.model
+        faults: list[str] = []
+        remarks: list[str] = []
         for number, one in enumerate(self.runs):
             try:
                 found = summary(one.run, model)
@@ -250,15 +260,21 @@ class Session:
                 self._after.pop(number, None)
                 self._revision += 1
 
-    def _passed(self, what: str) -> None:
-        if self._checked is None or self._checked.key != self.key:
+    def _present_check(self) -> Checked | None:
+        """Return the check of these runs and the present model; None without one."""
+        checked = self._checked
+        return checked if checked is not None and checked.key == self.key else None
+
+    def _require_check(self, what: str) -> None:
+        checked = self._present_check()
+        if checked is None:
             raise LabError(f"{what} needs a check of these runs and this model first")
-        if self._checked.faults:
-            raise LabError(f"{what} needs a check that passes; {self._checked.faults[0]}")
+        if checked.faults:
+            raise LabError(f"{what} needs a check that passes; {checked.faults[0]}")
 
     def diagnose(self, progress: Callable[[str], None]) -> None:
         """Diagnose the first run; keep the diagnosis in the folder. The second validates it."""
-        self._passed("a diagnosis")
+        self._require_check("a diagnosis")
         key, model = self.key, self.model
         held_out = self.runs[1].run if len(self.runs) > 1 else None
         found = diagnose(model, self.runs[0].run, held_out, progress=progress)
@@ -288,19 +304,19 @@ class Session:
 
     def fit(self, names: Sequence[str], params: Mapping[str, float]) -> Document:
         """Fit effects to the first run, from these parameters; return a report."""
-        self._passed("a fit")
+        self._require_check("a fit")
         model, report = refit(self.with_effects(names, params), self.runs[0].run)
         return report | {"values": model.params}
 
     def accept(self, names: Sequence[str], params: Mapping[str, float]) -> None:
         """Accept a chain of effects with all their parameters."""
-        self._passed("a step")
+        self._require_check("a step")
         model = self.with_effects(names, params)
         self._accept(Step(tuple(model.chain_names), model.params), model)
 
     def accept_diagnosis(self) -> None:
         """Accept the effects that the newest diagnosis names."""
-        self._passed("a step")
+        self._require_check("a step")
         state = self.journal.state
         if state.diagnosed is None or state.diagnosed_for != self.key:
             raise LabError("there is no diagnosis of these runs and this model; diagnose first")
@@ -315,7 +331,8 @@ class Session:
         with self._lock:
             after = {run: predicted_by(model, self.view(run)[0]) for run in range(len(self.runs))}
             errors = tuple(rms_of(after[run], self._views[run]) for run in after)
-            self.journal.append(accepted_line(replace(step, errors_mm=errors)))
+            done = step_document(replace(step, errors_mm=errors))
+            self.journal.append({"do": "accepted"} | done)
             self._changed(model, after)
 
     def undo(self) -> None:
@@ -356,12 +373,3 @@ class Session:
         """Write the bundle with the accepted steps; the journal stays the record of them."""
         if self.journal.state.accepted or (self.journal.folder / MODEL).exists():
             save_bundle(self.model, self.journal.folder / MODEL)
-
-
-def _plain(step: Step) -> Document:
-    return {
-        "effects": list(step.effects),
-        "params": dict(step.params),
-        "diagnosis": step.diagnosis,
-        "errors_mm": list(step.errors_mm),
-    }

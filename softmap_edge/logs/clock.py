@@ -91,7 +91,7 @@ def times_of(
     again = _written_twice(t, cells)
     if again.any():
         notes.append(
-            f"{int(again.sum())} rows that repeat the row before, time and all, were left out"
+            f"{int(again.sum())} rows that repeat the row before, with its time, were left out"
         )
         t, cells, row = t[~again], kept(cells, ~again), row[~again]
     if clock.jumps == "mend":

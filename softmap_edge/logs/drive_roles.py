@@ -70,7 +70,7 @@ def _no_drive(sheet: Sheet, role: Role) -> str | None:
     """Return why columns are no commands or encoders although their name suggests it; else None."""
     rows = sheet.rows_of(role.columns)
     if not role.sure and role.kind == "present" and not moves((sheet, role)):
-        return "constants, for they never change"
+        return "constants, because they never change"
     fours = [rows[:, k : k + 4] for k in range(0, rows.shape[1], 4)]
     return (
         "a quaternion, for their length is 1 in all rows" if all(map(_quaternion, fours)) else None

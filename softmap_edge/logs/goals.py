@@ -19,7 +19,8 @@ _DEVICE = re.compile(r"joint_?stat|servo|motor|enc(?!e)|present|tendon", re.IGNO
 _GOAL = re.compile(r"cmd|command|goal|desired|target|refer|_ref|set_?p", re.IGNORECASE)
 _GOAL_WORDS = {"des", "dsr", "setp"}
 _COMPUTED = re.compile(
-    r"(plan|nominal|ideal|traj|waypoint|predict|model|expect|theor|calc|comput|estim|simul|filter|smooth|refer).*"
+    r"(plan|nominal|ideal|traj|waypoint|predict|model|expect|theor|calc|comput|estim|simul|filter"
+    r"|smooth|refer).*"
     r"|ref|sp|wp|nom|sim|pred|mod|est|hat|fk|filt"
 )
 _SUFFIX = "d"  # of control theory: x and xd

@@ -343,7 +343,9 @@ def _find_drives(sheets: list[Sheet], found: Found) -> None:
         found.command = commands[0]
     elif presents:
         found.command = presents.pop(0)
-        found.assumed.append("commands: none is named so; what the encoders read stands for them")
+        found.assumed.append(
+            "commands: no column is named so; the encoder positions are taken for them"
+        )
     if found.command is None:
         found.unknown.append(
             "what was commanded: nothing is named so; effects of the drive cannot be identified"

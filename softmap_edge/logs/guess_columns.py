@@ -456,9 +456,9 @@ def drive_unit(rows: Array, stated: str | None, joint: bool = False) -> tuple[st
     peak = float(np.abs(known).max())
     if not joint and all(len(np.unique(column[np.isfinite(column)])) < 2 for column in rows.T):
         return "mm", f"they never change (at most {peak:.3g}), and a constant shows no unit", False
-    whole = rows[np.isfinite(rows).all(axis=1)]
+    complete = rows[np.isfinite(rows).all(axis=1)]
     for tick, unit in ((TICK_DEG, "deg"), (TICK_RAD, "rad")):
-        steps = (whole - whole[:1]) / tick  # independent of home
+        steps = (complete - complete[:1]) / tick  # independent of home
         if (
             len(steps) > 1
             and np.abs(steps).max() > 10

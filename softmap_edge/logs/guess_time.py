@@ -142,7 +142,7 @@ def _single(sheet: Sheet) -> str | None:
                 return (finer or fits)[0]
     if best is not None:
         return best
-    first = rising[0] if rising else falling[0] if falling else None
+    first = next(iter([*rising, *falling]), None)
     if first == sheet.names[0] and (not sheet.header or _ticks_evenly(sheet.column(first))):
         return first
     return None
@@ -232,9 +232,11 @@ def _of_column(sheet: Sheet, name: str) -> TimeFound:
     seconds, (unit, why) = _scale(sheet, name)
     values = sheet.column(name)
     first = name == sheet.names[0] and not (sheet.header and TIME_NAME.search(name))
-    called = ("the first column" if first else "") + (
-        f" '{name}'" if sheet.header else "" if first else f"column {name}"
-    )
+    called = "the first column" if first else ""
+    if sheet.header:
+        called += f" '{name}'"
+    elif not first:
+        called = f"column {name}"
     t, known = values * seconds, _known(sheet, name)
     others = np.delete(sheet.numbers, sheet.names.index(name), axis=1)[np.isfinite(values)]
     jump = find_steps(known * seconds, others, Clock(name, seconds))
@@ -291,7 +293,9 @@ def _like_digits(known: Array) -> bool:
 def _repeated(known: Array) -> list[str]:
     """Return the mapping's keys for rows that share a time."""
     same = (np.diff(known) == 0).mean() if len(known) > 1 else 0.0
-    return ['repeated = "spread"'] if same > 0.05 else ['repeated = "drop"'] if same > 0 else []
+    if same == 0.0:
+        return []
+    return ['repeated = "spread"'] if same > 0.05 else ['repeated = "drop"']
 
 
 def _scale(sheet: Sheet, name: str) -> tuple[float, tuple[str, str]]:

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.logs.chance import is_improbable
+from softmap_edge.run.stretches import stretches_of
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -62,10 +63,9 @@ def held_places(points: Array, u: Array | None) -> list[Held]:
 
 def _runs(again: Mask, least: int) -> Iterator[tuple[int, int]]:
     """Yield each stretch of at least `least` repeats: its first, and the frame after it."""
-    edges = np.flatnonzero(np.diff(np.r_[False, again, False].astype(int)))
-    for first, end in edges.reshape(-1, 2):
+    for first, end in stretches_of(again):
         if end - first >= least:
-            yield int(first), int(end)
+            yield first, end
 
 
 def _against_others(points: Array, again: Mask, m: int) -> Iterator[Held]:

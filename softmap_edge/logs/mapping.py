@@ -339,13 +339,11 @@ def _column(table: TomlTable, key: str) -> Column | None:
 
 def _quantity(log: TomlTable, name: str, command_unit: str) -> Quantity:
     table = log.table(name)
-    points = (
-        ("not_seen", "labels", "swaps")
-        if name == "markers"
-        else ("not_seen",)
-        if name in POINTS
-        else ()
-    )
+    points: tuple[str, ...] = ()
+    if name == "markers":
+        points = ("not_seen", "labels", "swaps")
+    elif name in POINTS:
+        points = ("not_seen",)
     table.only((*QUANTITY, *points, *(("unwrap",) if name in DRIVES else ())))
     listed, flat = table.values.get("columns", []), columns_of(table)
     sizes = (

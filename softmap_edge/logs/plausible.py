@@ -78,15 +78,15 @@ def doubts_of_rows(name: str, raw: Array, quantity: Quantity) -> list[str]:
         guess = "deg"
     elif name == "temperature":
         middle = float(np.median(finite))
-        guess = (
-            "K"
-            if unit == "degC" and middle > 150
-            else "degC"
-            if unit == "K" and middle < 150
-            else None
-        )
+        if unit == "degC" and middle > 150:
+            guess = "K"
+        elif unit == "K" and middle < 150:
+            guess = "degC"
     elif name == "current":
-        guess = "A" if unit == "mA" and peak < 10 else "mA" if unit == "A" and peak > 100 else None
+        if unit == "mA" and peak < 10:
+            guess = "A"
+        elif unit == "A" and peak > 100:
+            guess = "mA"
     elif name == "load" and unit == "g" and peak < 0.5:
         guess = "kg"
     elif unit in ANGLE and quantity.spool_radius_mm < METRES / 10:

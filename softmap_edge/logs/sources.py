@@ -164,8 +164,8 @@ def _check_alike(path: Path, opened: Sequence[tuple[str, Columns]], log: Log) ->
         if missing:
             raise RunError(
                 f"{path}: {len(opened)} of the given files fit one log, but {name} has no column "
-                f"{missing[0][:40]}{header_hint(columns.head_line)}; give exactly one, or change `file` in "
-                "the mapping"
+                f"{missing[0][:40]}{header_hint(columns.head_line)}; give exactly one, or change "
+                "`file` in the mapping"
             )
     units = [{name: columns.units.get(name) for name in known} for _, columns in opened]
     other = next((k for k, one in enumerate(units) if one != units[0]), None)

@@ -142,9 +142,9 @@ def read_log(path: Path, log: Log, columns: Columns | None = None) -> LogTable:
     """
     columns = open_log(path, log) if columns is None else columns
     names = columns.names
-    wanted = columns_named(log)
-    _all_there(path, columns, [*wanted, *([] if log.block is None else [log.block])], log.delimiter)
-    places = sorted({place(path, names, column) for column in wanted})
+    needed = columns_named(log)
+    _all_there(path, columns, [*needed, *([] if log.block is None else [log.block])], log.delimiter)
+    places = sorted({place(path, names, column) for column in needed})
     cells = columns.read(places, None if log.block is None else place(path, names, log.block))
     cells = replace(cells, rows=np.arange(len(cells.numbers)))
     lacks = _other_count(columns, len(cells.numbers))
@@ -262,11 +262,11 @@ def _listed(names: list[str]) -> str:
     return ", ".join(shown)[:_WIDTH]
 
 
-def _all_there(path: Path, columns: Columns, wanted: list[Column], delimiter: str | None) -> None:
+def _all_there(path: Path, columns: Columns, needed: list[Column], delimiter: str | None) -> None:
     names = columns.names
     missing = [
         c
-        for c in dict.fromkeys(wanted)
+        for c in dict.fromkeys(needed)
         if (c not in names if isinstance(c, str) else not 0 <= c < len(names))
     ]
     if not missing:

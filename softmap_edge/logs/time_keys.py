@@ -99,9 +99,14 @@ def clock_of(log: TomlTable) -> Clock:
             f"{time.where}: columns and rate_hz; leave rate_hz out, or give one column, a counter"
         )
     unit = time.choice("unit", tuple(TIME), "s")
+    column, seconds = one, TIME[unit]
+    if several:
+        column, seconds = several[0]
+    elif rate is not None:
+        seconds = 1.0 / rate
     return Clock(
-        column=several[0][0] if several else one,
-        seconds=several[0][1] if several else TIME[unit] if rate is None else 1.0 / rate,
+        column=column,
+        seconds=seconds,
         offset_s=time.number("offset_s", 0.0) or 0.0,
         repeated=time.choice("repeated", ("refuse", "drop", "spread"), "refuse"),
         date_order=_date_order(time),

@@ -67,7 +67,8 @@ _WEEKDAY = (
     r"|(?:mon|diens|donners|frei|sams|sonn)tag|mittwoch|sonnabend|mo|di|mi|do|fr|sa|so)\.?,? )?"
 )
 _YEAR = r"(?P<y>\d{4}|\d{2})"
-_REST = rf"(?:,? {{1,3}}(?:um |at )?|[T_])?(?:{_CLOCK}(?: Uhr)?)?{_ZONE}"  # the time of day, where there is one
+# the time of day, where there is one
+_REST = rf"(?:,? {{1,3}}(?:um |at )?|[T_])?(?:{_CLOCK}(?: Uhr)?)?{_ZONE}"
 _FIRST = rf"{_CLOCK}{_ZONE},? {{1,2}}"  # the time of day in front of the date
 _TIGHT = r"(?P<h>\d{2}):?(?P<mi>\d{2}):?(?P<s>\d{2})(?:[.,](?P<f>\d{1,12}))?"
 _YMD = r"(?P<y>\d{4})(?P<sep>[-/.:])(?P<b>\d{1,2})(?P=sep)(?P<a>\d{1,2})"
@@ -242,9 +243,10 @@ def time_text_of(cells: Sequence[str], order: str | None = None) -> TimeText | N
     if form == "local" and order is None and all(map(_DOTTED, filled)):
         order = "dmy"
     hours = form == "day" and all(_FORMS["day"][0].fullmatch(cell) for cell in filled)
-    return TimeText(
-        form, order if form == "local" else None, 0.0 if form != "day" else DAY if hours else HOUR
-    )
+    period = 0.0
+    if form == "day":
+        period = DAY if hours else HOUR
+    return TimeText(form, order if form == "local" else None, period)
 
 
 def counted_on(seconds: Array, period: float) -> tuple[Array, str | None]:

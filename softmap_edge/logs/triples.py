@@ -37,7 +37,7 @@ FITS = 100.0  # ratio of sizes within one robot's markers at most
 NEAR = 10.0
 LONGEST = 200  # characters of a name
 STEADY = 1e-3  # of its length: variation of a triple of constant length
-_OFFSET = "an offset, for they never change"
+_OFFSET = "an offset, because they never change"
 DIRECTIONS = (1.0, 9.81)  # length of a direction, and of gravity in m/s²
 
 _OTHER: tuple[tuple[str, str], ...] = (
@@ -47,8 +47,8 @@ _OTHER: tuple[tuple[str, str], ...] = (
     ),
     (
         "angles",
-        r"rot|orient|quat|rpy|ypr|roll|pitch|yaw|eul|ang|theta|phi|psi|heading|attitude|tilt|dir|ori|"
-        r"alpha|beta|gamma|curv|kappa|bend",
+        r"rot|orient|quat|rpy|ypr|roll|pitch|yaw|eul|ang|theta|phi|psi|heading|attitude|tilt|dir"
+        r"|ori|alpha|beta|gamma|curv|kappa|bend",
     ),
     ("rates", r"vel|speed|acc|gyr|omega|twist|jerk|rate|spin"),
     ("a field or a constant", r"grav|mag|imu|field|norm|bias|offset|scale|gain|color|colour|rgb"),
@@ -56,9 +56,10 @@ _OTHER: tuple[tuple[str, str], ...] = (
 )
 _NAMELESS = re.compile("unlabel", re.IGNORECASE)
 _PLACE = re.compile(
-    r"tip|end|eef|tcp|mark|mk|led|tag|point|pnt|pos|place|loc|trans|coord|body|bodies|rigid|base|clamp|frame|mount|"
-    r"node|vert|bead|dot|seg|sec|disk|disc|tool|hand|wrist|elbow|head|finger|joint|link|object|mocap|vicon|opti|"
-    r"aruco|april|cent|cam|robot|sensor|probe|ring|knot|xyz|track|feature|blob|ball|led|pose",
+    r"tip|end|eef|tcp|mark|mk|led|tag|point|pnt|pos|place|loc|trans|coord|body|bodies|rigid|base"
+    r"|clamp|frame|mount|node|vert|bead|dot|seg|sec|disk|disc|tool|hand|wrist|elbow|head|finger"
+    r"|joint|link|object|mocap|vicon|opti|aruco|april|cent|cam|robot|sensor|probe|ring|knot|xyz"
+    r"|track|feature|blob|ball|pose",
     re.IGNORECASE,
 )
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+|[^\W\d_]+")
@@ -258,7 +259,7 @@ def _misfit(family: _Set, known: _Set) -> str | None:
         return (
             "angles, within ±π"
             if known.largest > np.pi
-            else "angles or places in m, for they are within ±π"
+            else "angles or places in m, because they are within ±π"
         )
     if not known.size / FITS < family.size < known.size * FITS:
         return f"no place: they are of size {family.size:.3g}, the places of size {known.size:.3g}"

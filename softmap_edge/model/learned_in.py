@@ -7,7 +7,6 @@ bundle's manifest, under `made_from.learned_in`, and are checked on reading like
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Literal, get_args
@@ -158,8 +157,10 @@ def _fits(value: object, of: str) -> bool:
     if of == "bool":
         return isinstance(value, bool)
     if of == "float":
-        plain = isinstance(value, int | float) and not isinstance(value, bool)
-        return plain and math.isfinite(float(value)) and abs(float(value)) <= LARGEST  # type: ignore[arg-type]
+        # the limit also excludes NaN, and an int that no float can hold
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            return False
+        return abs(value) <= LARGEST
     if of in ("str", "Law"):
         return isinstance(value, str) and len(value) <= LONGEST and value.isprintable()
     return isinstance(value, list | tuple) and len(value) <= MOST

@@ -119,6 +119,7 @@ def _plain(value: object) -> bool:
 
 
 def finite_number(value: object) -> bool:
+    """Return whether a value of a document is a number within ±`LARGEST`."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
 
 
@@ -152,6 +153,11 @@ def _floats(value: object, length: int) -> bool:
 
 
 def read_json(file: Path) -> Document:
+    """Return the object in a JSON file of a bundle.
+
+    Raises:
+        BundleError: it is too large, or does not hold an object.
+    """
     if file.stat().st_size > _MOST:
         raise BundleError(f"{file.name}: {file.stat().st_size} bytes, at most 16 MiB are read")
     try:

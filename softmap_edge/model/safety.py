@@ -38,7 +38,10 @@ LEAST_LOOKS = 3  # least number along each command
 # largest allowed tension: times the simulated one; N without simulation
 FAR, HIGHEST = 3.0, 1000.0
 DAMAGED = 4.0  # mm/mm: impossible strain of a surface
-STALE, HOLD, SLACKEN, RAMP = 0.25, 2.0, 5.0, 1.0  # s
+STALE = 0.25  # s
+HOLD = 2.0  # s
+SLACKEN = 5.0  # s
+RAMP = 1.0  # s
 BAND = 0.02 / 32.0  # of the window (32 mm): above the noise of a hand at rest
 TURNS_A_SECOND, BURST = 4.0, 4.0
 # bounds of the guard itself, in s, 1/s and 1; lengths are bounded by the window

@@ -17,7 +17,6 @@ import contextlib
 import ctypes
 import functools
 import hashlib
-import math
 import sys
 import threading
 import traceback
@@ -300,7 +299,7 @@ def _parameter(where: str, given: object) -> Document:
         if (
             isinstance(value, bool)
             or not isinstance(value, int | float)
-            or not math.isfinite(value)
+            or not abs(value) <= sys.float_info.max  # NaN, inf, or an int that no float can hold
         ):
             raise EffectError(f"{where}: {label}: {key} is {value!r:.40}, expected a finite number")
         found[key] = float(value)

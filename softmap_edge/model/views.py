@@ -117,7 +117,7 @@ def seen_points(model: Model, run: Run) -> Floats:
 
 
 def in_scale_of(model: Model, run: Run, seen: Floats) -> Floats:
-    """Return the markers of a run of outputs in the model's own scale; positions are unchanged.
+    """Return markers (K, N, 3) of outputs in the model's own scale; positions are unchanged.
 
     Raises:
         RunError: only one of the two has outputs, or their outputs differ.
@@ -137,7 +137,7 @@ def in_scale_of(model: Model, run: Run, seen: Floats) -> Floats:
 
 
 def points_in_mm(model: Model, run: Run) -> Floats:
-    """Return the run's points after checking that their size fits the robot.
+    """Return the run's points (K, N, 3) mm after checking that their size fits the robot.
 
     A wrong unit would otherwise be explained by an effect.
     """

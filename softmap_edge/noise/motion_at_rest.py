@@ -161,7 +161,12 @@ def _scores(
 ) -> _Scores | None:
     if not len(modes):
         return None
-    rows, dwells, parts, noise, count, freedom = [], [], [], [], 0, 0
+    rows = []
+    dwells = []
+    parts = []
+    noise = []
+    count = 0
+    freedom = 0
     for frames in rows_of(dwell, LEAST_DWELL):
         part = filled(values[frames])
         basis = _level(len(part))

@@ -128,7 +128,7 @@ def estimate_noise(residual: Floats, t_seen: Floats, visit: NDArray[np.int64]) -
     found = dwell_scatter(residual, visit)
     if found.degrees >= ENOUGH:
         covariance = _shrunk(found.squares / found.degrees, found.degrees)
-        return Noise(covariance, _told(found.degrees), _inflation(found.rho), True)
+        return Noise(covariance, _degrees_text(found.degrees), _inflation(found.rho), True)
     return Noise(
         _high_frequency(filled(residual), t_seen),
         "high-frequency part of the run (no replicates)",
@@ -205,7 +205,8 @@ def measure_noise(
     plain = estimate_noise(residual, t_seen, dwell)
     if not plain.measured:
         off = noise_off_shapes(seen, state)
-        # Motion inflates the one, and shapes that change inflate the other. With both it is no guess.
+        # Motion inflates the one, and shapes that change inflate the other. With both it is no
+        # guess.
         smaller = plain if off is None or plain.trace < off.trace else off
         return replace(smaller, measured=off is not None)
     moving = motion_left(residual, seen, positions, t_seen, state)
@@ -242,7 +243,7 @@ def measure_noise(
     )
 
 
-def _told(degrees: int) -> str:
+def _degrees_text(degrees: int) -> str:
     return f"replicates ({degrees} degrees of freedom)"
 
 

@@ -34,14 +34,12 @@ Floats = NDArray[np.float64]
 ABOVE_NOISE = 3.0  # the colours of an error reach at least this multiple of the noise floor
 # s of a long run that are drawn, and least number of frames in such a stretch
 STRETCH, MANY = 20.0, 10
-BEFORE, AFTER, FLOOR, INK, FAINT, PALE = (
-    "#cf5c36",
-    "#1f7a8c",
-    "#7d8597",
-    "#1f2933",
-    "#e7eaef",
-    "#9aa5b1",
-)
+BEFORE = "#cf5c36"
+AFTER = "#1f7a8c"
+FLOOR = "#7d8597"
+INK = "#1f2933"
+FAINT = "#e7eaef"
+PALE = "#9aa5b1"
 ERROR_MAP = LinearSegmentedColormap.from_list(
     "error", ["#dceef0", "#f6e7c1", "#efa35c", "#cf5c36", "#6a1b1a"]
 )
@@ -265,7 +263,9 @@ def ladder_bars(error: Document) -> bytes:
         figure = Figure(figsize=(WIDE, 0.75 + 0.36 * len(steps)), layout="constrained")
         axes = figure.add_subplot()
         for position, (name, value) in enumerate(steps):
-            colour = BEFORE if position == 0 else AFTER if name.startswith("+") else PALE
+            colour = BEFORE
+            if position > 0:
+                colour = AFTER if name.startswith("+") else PALE
             axes.barh(
                 position,
                 value,
@@ -498,6 +498,7 @@ def _thinned(t: Floats, values: Floats) -> tuple[Floats, Floats]:
 
 
 def rms(values: Floats) -> float:
+    """Return the RMS of the finite values; NaN if there are none."""
     known = values[np.isfinite(values)]
     return math.sqrt(float(np.mean(known**2))) if len(known) else math.nan
 
@@ -514,6 +515,7 @@ def svg(figure: Figure) -> bytes:
 
 
 def png(figure: Figure) -> bytes:
+    """Return a figure as PNG, 200 dots per inch."""
     return _saved(figure, "png", dpi=200, metadata={"Software": None})
 
 

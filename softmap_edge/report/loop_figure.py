@@ -133,7 +133,10 @@ def worst_cycle(loop: Loop) -> slice:
 
 def _turns(command: Floats) -> list[int]:
     """Return the frames at which a command reverses by more than `TURN` of its range."""
-    least, turns, extreme, way = TURN * float(np.ptp(command)), list[int](), 0, 0.0
+    least = TURN * float(np.ptp(command))
+    turns = list[int]()
+    extreme = 0
+    way = 0.0
     for k, value in enumerate(command):
         if way == 0.0 and abs(value - command[0]) > least:
             way, extreme = float(np.sign(value - command[0])), k

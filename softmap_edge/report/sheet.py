@@ -122,7 +122,7 @@ def _draw_poses(axes: Axes, series: Series, moment: str, scale: Normalize) -> No
 
 
 def view() -> tuple[Floats, Floats, Floats]:
-    """Return right, up and towards the viewer in the base frame; z points down the page."""
+    """Return unit vectors (3,) right, up and to the viewer, in the base frame; z points down."""
     turn, tilt = np.radians(TURN), np.radians(TILT)
     right = np.array([np.cos(turn), np.sin(turn), 0.0])
     level = np.array([-np.sin(turn), np.cos(turn), 0.0])

@@ -28,9 +28,9 @@ COMPLETES = {
 }
 
 
-def parted(said: object) -> tuple[str, str]:
+def parted(message: object) -> tuple[str, str]:
     """Return finding and remedy of a message; the remedy is "" if there is none."""
-    text = str(said)
+    text = str(message)
     ends = _ends(text)
     return (text, "") if ends is None else (text[:ends], text[ends + 2 :])
 

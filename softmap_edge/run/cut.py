@@ -18,6 +18,7 @@ from softmap_edge.run import pieces as run_pieces
 from softmap_edge.run.fields import cut_rows
 from softmap_edge.run.join import join_runs
 from softmap_edge.run.run import OURS, Run
+from softmap_edge.run.stretches import stretches_of
 
 MOST_NAMED = 20  # blocks that an error lists
 
@@ -85,11 +86,10 @@ def _places(run: Run, label: str) -> list[slice]:
             "it is imported"
         )
     labels = np.array([str(one) for one in run.block.tolist()])
-    inside = np.r_[False, labels == label, False]
-    edges = np.flatnonzero(inside[1:] != inside[:-1])
-    if not len(edges):
+    found = stretches_of(labels == label)
+    if not found:
         raise RunError(no_name("block", label, list(dict.fromkeys(labels.tolist())), MOST_NAMED))
-    return [slice(int(first), int(last)) for first, last in zip(edges[::2], edges[1::2])]
+    return [slice(first, end) for first, end in found]
 
 
 def _part(

@@ -7,7 +7,6 @@ Reports convert the figures back (`Output.value`). Pinned by tests/run/test_outp
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -126,20 +125,3 @@ def output_of(values: ArrayLike, unit: str, names: tuple[str, ...] = ()) -> Outp
         )
     scale = float(f"{RANGE_MM / spread:.{DIGITS}g}")
     return Output(names or tuple(f"output {q + 1}" for q in range(rows.shape[1])), unit, scale)
-
-
-def acts_on_outputs(effect: Mapping[str, object]) -> bool:
-    """Return whether an effect of the registry can act on outputs: on the command or the clock.
-
-    Loads, shapes, obstacles and camera frames need a body.
-    """
-    return bool(
-        effect["role"] == "channel" or (effect["role"] == "sensing" and effect["family"] == "delay")
-    )
-
-
-def needs_time(effect: Document) -> bool:
-    """Return whether an effect is a delay, a rate or a time constant and so needs times."""
-    # an instant may also be a row
-    units = [p["unit"] for p in effect["parameters"] if p["name"] != "at"]
-    return any(unit == "s" or unit.endswith(("/s", "/min")) for unit in units)

@@ -279,7 +279,7 @@ class Tape:
         self.now += seconds
 
     def axis(self, channel: int, share: float) -> Floats:
-        """Return the command with one channel at `share` of its reach."""
+        """Return the command (C,) with one channel at `share` of its reach."""
         target = np.zeros(self.channels)
         target[channel] = share
         return self.limits.at(target)

@@ -515,6 +515,13 @@ class Run:
         return f"Run({self.robot or 'unnamed'}: {rows})"
 
 
+def as_runs(runs: Run | Sequence[Run] | None) -> list[Run]:
+    """Return one run, several, or none as a list."""
+    if runs is None:
+        return []
+    return list(runs) if isinstance(runs, Sequence) else [runs]
+
+
 def known(run: Run, points: Array) -> NDArray[np.bool_]:
     """Return which points (K, N, 3) of a run were seen, (K, N): finite and not marked hidden."""
     finite = np.asarray(np.isfinite(points).all(axis=2), np.bool_)

@@ -195,8 +195,8 @@ def _door(connection: Any, opening: threading.BoundedSemaphore) -> Callable[...,
 
 def _ours(host: str, port: int) -> bool:
     """Return whether a Host header is an address or localhost (no DNS rebinding)."""
-    name, _, said = host.rpartition(":")
-    if said != str(port):
+    name, _, stated = host.rpartition(":")
+    if stated != str(port):
         return False
     if name == "localhost":
         return True
@@ -218,7 +218,8 @@ def _answer(
     response.body = body
     for name in ("Content-Type", "Content-Length"):
         del response.headers[name]
-    response.headers["Content-Type"], response.headers["Content-Length"] = kind, str(len(body))
+    response.headers["Content-Type"] = kind
+    response.headers["Content-Length"] = str(len(body))
     connect = f"'self' ws://{host}" if host else "'self'"
     response.headers["Content-Security-Policy"] = (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; "

@@ -16,6 +16,7 @@ from websockets.sync.client import connect
 from softmap_edge.cli import main
 from softmap_edge.lab import server as labs
 from softmap_edge.lab.server import LabServer
+from softmap_edge.lab.session import Session
 
 CHROMIUM = next(
     (found for name in ("chromium", "chromium-browser") if (found := shutil.which(name))), None
@@ -126,6 +127,34 @@ def test_the_command_reports_bad_inputs_in_one_line(tmp_path, monkeypatch, capsy
     assert "holds other.txt and no session" in capsys.readouterr().err
     assert main(["lab", "run.npz", "--port", "70000", "--no-browser"]) == 2
     assert "port 70000" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="not run: there is no chromium here")
+def test_a_check_that_ends_in_an_error_is_not_repeated(tmp_path, monkeypatch):
+    browser = pytest.importorskip(
+        "playwright.sync_api", reason="not run: playwright is not installed"
+    )
+    calls = []
+
+    def check(self):
+        calls.append(1)
+        raise MemoryError("too little memory")
+
+    monkeypatch.setattr(Session, "check", check)
+    with served(tmp_path / "lab") as server, browser.sync_playwright() as p:
+        chromium = p.chromium.launch(
+            executable_path=CHROMIUM, args=["--no-sandbox", "--enable-unsafe-swiftshader"]
+        )
+        page = chromium.new_page()
+        page.goto(server.url)
+        page.wait_for_selector("body[data-loaded=yes]")
+        page.wait_for_timeout(500)
+        assert len(calls) == 1
+        assert "too little memory" in page.locator("#status").text_content()
+        page.locator("#check").click()
+        page.wait_for_timeout(300)
+        assert len(calls) == 2
+        chromium.close()
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="not run: there is no chromium here")

@@ -36,7 +36,8 @@ def test_a_request_is_read():
         ({"effects": ["a", "a"]}, "different names"), ({"effects": [1]}, "different names"),
         ({"effects": ["x" * 300]}, "different names"), ({"effects": ["a"] * 1000}, "list"),
         ({"params": []}, "'params'"), ({"params": {"a": "1"}}, "no finite number"),
-        ({"params": {"a": 1e300}}, "no finite number"), ({"params": {"a": True}}, "no finite number"),
+        ({"params": {"a": 1e300}}, "no finite number"), ({"params": {"a": 10**400}}, "no finite number"),
+        ({"params": {"a": True}}, "no finite number"),
         ({"params": {"a": None}}, "no finite number"))],
 )  # fmt: skip
 def test_what_is_no_request_is_refused_with_its_reason(said, why):

@@ -45,6 +45,7 @@ def test_a_record_says_it_all_in_words_and_comes_back_from_its_document():
         ({"before_mm": float("nan")}, "before_mm"),
         ({"after_mm": True}, "after_mm"),
         ({"after_mm": 1e300}, "after_mm"),
+        ({"after_mm": 10**400}, "after_mm"),
         ({"params": [{"label": "gap"}]}, "label"),
         ({"alternatives": "friction"}, "alternatives"),
         ({"alternatives": [None] * 40}, "alternatives"),

@@ -78,6 +78,7 @@ def test_wrong_use_is_reported_in_one_line(here, capsys, argv, says):
         (effect("u", **number(high=-2.0)), "start must lie between"),
         (effect("u", **number(null="0")), "finite number"),
         (effect("u", **number(low=float("-inf"))).replace("-inf", "-1e999"), "finite number"),
+        (effect("u", **number(start=10**400)), "finite number"),
         (effect("u", **number(per_channel="yes")), "True or False"),
         (effect("u", parameters=number()["parameters"] * 2), "names must differ"),
     ],

@@ -274,7 +274,7 @@ def test_a_full_disk_is_reported_and_what_there_is_is_kept(folder):
     assert "run.npz" in left or {"run.loop.mcap", "run.seen"} <= left, said
     assert (
         "recording broke off" in said
-        or "is kept no more" in said
+        or "are no longer recorded" in said
         or "kept: run.loop.mcap and run.seen" in said
     )
 

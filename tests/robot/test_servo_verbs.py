@@ -263,7 +263,10 @@ def test_an_emulated_rig_takes_faults_from_standard_input(tmp_path):
             process.stdin.write("mute 1\nfly 3\nheat 0 abc\nheat 0 60\n")
             process.stdin.flush()
             assert "no such fault; faults, one a line" in process.stderr.readline()
-            assert "heat 0 abc: not all of it are numbers of that kind" in process.stderr.readline()
+            assert (
+                "heat 0 abc: some of its values are not numbers of that kind"
+                in process.stderr.readline()
+            )
             begin = time.monotonic()
             while setup.registers(bus, 1)["present_temperature"] < 55:
                 assert time.monotonic() - begin < 5.0

@@ -285,7 +285,7 @@ def test_a_recording_that_breaks_off_measures_nothing(model, tmp_path, monkeypat
 )
 def test_a_plan_that_drives_nothing_takes_no_option_of_what_is_driven(option, capsys):
     assert main(["track", "S", "--plan", *option]) == 2
-    assert f"{option[0]} is of what is driven" in capsys.readouterr().err
+    assert f"{option[0]} needs a robot, and --plan moves none" in capsys.readouterr().err
 
 
 def test_a_figure_that_is_no_file_is_refused_at_once(tmp_path, capsys):

@@ -75,7 +75,9 @@ def limits_arguments(parser: argparse.ArgumentParser) -> None:
         "--rig", required=True, metavar="FILE.toml", help="the rig: its servos, ceiling and stops"
     )
     parser.add_argument(
-        "--bundle", metavar="DIR", help="the finger, with its calibration (the built-in one)"
+        "--bundle",
+        metavar="DIR",
+        help="the model, with its calibration (default: the built-in finger)",
     )
     effects_argument(parser)
     parser.add_argument(
@@ -151,16 +153,16 @@ def replay(args: ReplayOptions) -> int:
             json.dumps(document | {"otherwise": differ, "short": recording.short, "run": args.run})
         )
     else:
-        said = (
+        text = (
             "every one decided alike"
             if not differ
             else f"{len(differ)} decided otherwise, the first is {differ[0]}"
         )
-        print(f"{args.recording}: {len(recording.periods)} periods in {seconds:.1f} s, {said}")
+        print(f"{args.recording}: {len(recording.periods)} periods in {seconds:.1f} s, {text}")
         if args.run:
             print(f"{args.run}: written")
     if lacks:
         warnings.warn(RecordingWarning(lacks), stacklevel=2)
-    if said := words.bus(recording.bus):
-        to_stderr(f"softmap servo replay: {said}")
+    if text := words.bus(recording.bus):
+        to_stderr(f"softmap servo replay: {text}")
     return FAULT if differ or recording.short else WELL

@@ -94,12 +94,12 @@ def _scan(args: ScanOptions) -> int:
             found += heard.found
             remarks += (faults := [*heard.remarks, *heard.errors])
             if not args.json:
-                said = [f"  ! {with_files(one, args)}" for one in faults]
-                print("".join(f"{line}\n" for line in [*heard.found, *said]), end="")
+                lines = [f"  ! {with_files(one, args)}" for one in faults]
+                print("".join(f"{line}\n" for line in [*heard.found, *lines]), end="")
     remarks += (missing := _missing(rig, found))
     remarks, missing = ([with_files(one, args) for one in some] for some in (remarks, missing))
     if args.json:
-        servos = [_told(servo) for servo in found]
+        servos = [_servo_document(servo) for servo in found]
         print(json.dumps({"schema": "softmap.servos/1", "servos": servos, "remarks": remarks}))
     elif missing:
         print("\n".join(f"  ! {one}" for one in missing))
@@ -115,7 +115,7 @@ def _scan(args: ScanOptions) -> int:
     return 0 if found and not remarks else FAULT
 
 
-def _told(servo: setup.ServoState) -> Document:
+def _servo_document(servo: setup.ServoState) -> Document:
     name = servo.model["name"] if servo.model else None
     return dict(
         port=servo.port,
@@ -157,11 +157,15 @@ def _read(args: ReadOptions) -> int:
     shared = {servo.id for servo in found if [one.id for one in found].count(servo.id) > 1}
     for servo in {(one.port, one.baud, one.id): one for one in found}.values():
         unread = servo.id in shared or servo.id in mute
-        values, said = ({}, []) if unread else _registers(servo, asked.get(servo.id))
+        values, complaints = ({}, []) if unread else _registers(servo, asked.get(servo.id))
         notes = remarks_on_gains(servo, values, asked.get(servo.id)) if values else []
-        said, notes = ([with_files(one, args) for one in some] for some in (said, notes))
-        well &= not said
-        documents.append(_told(servo) | {"registers": values, "complaints": said, "notes": notes})
+        complaints, notes = (
+            [with_files(one, args) for one in some] for some in (complaints, notes)
+        )
+        well &= not complaints
+        documents.append(
+            _servo_document(servo) | {"registers": values, "complaints": complaints, "notes": notes}
+        )
         if not args.json:
             print(servo)
             print(
@@ -171,7 +175,9 @@ def _read(args: ReadOptions) -> int:
                 end="",
             )
             print(
-                "\n".join([*(f"  ! {line}" for line in said), *(f"  note: {n}" for n in notes)])
+                "\n".join(
+                    [*(f"  ! {line}" for line in complaints), *(f"  note: {n}" for n in notes)]
+                )
                 or ("  set up" if values else "  its registers cannot be read: see below")
             )
     if args.json:
@@ -196,8 +202,8 @@ def _registers(
     except NoAnswer as fault:
         return {}, [str(fault)]
     left = [differs(servo, need, values[need.register]) for need in passing(servo, values, asked)]
-    said = setup.complaints(servo, values, asked) + unfit(servo, values, asked, proved)
-    return values, said + [f"{one}; {rewritten(servo)}" for one in left]
+    complaints = setup.complaints(servo, values, asked) + unfit(servo, values, asked, proved)
+    return values, complaints + [f"{one}; {rewritten(servo)}" for one in left]
 
 
 def _setup(args: SetupOptions) -> int:
@@ -209,9 +215,9 @@ def _setup(args: SetupOptions) -> int:
             raise ServoError(
                 f"{len(found)} servos answer (ids {', '.join(map(str, ids))}): {shared[0]}"
             )
-        said = ", ".join(map(str, ids))
+        shown = ", ".join(map(str, ids))
         raise ServoError(
-            f"{len(found)} servos answer (ids {said}); connect one at a time, or say which with "
+            f"{len(found)} servos answer (ids {shown}); connect one at a time, or say which with "
             "--id"
         )
     old = read_rig(args.rig) if args.rig and Path(args.rig).exists() else None
@@ -228,7 +234,7 @@ def _setup(args: SetupOptions) -> int:
             json.dumps(
                 {
                     "schema": "softmap.servos/1",
-                    "servos": [_told(done)],
+                    "servos": [_servo_document(done)],
                     "rig": args.rig,
                     "mended": mended,
                 }
@@ -317,10 +323,10 @@ def _where(args: RebootOptions) -> tuple[str, int]:
 
 def _bus_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--port", metavar="PORT", help="a serial port; default: all of this machine"
+        "--port", metavar="PORT", help="a serial port (default: all of this machine)"
     )
     parser.add_argument(
-        "--baud", type=int, metavar="BAUD", help="one rate; default: all known rates"
+        "--baud", type=int, metavar="BAUD", help="one rate (default: all known rates)"
     )
 
 
@@ -352,7 +358,7 @@ class ReadOptions:
 
 def _read_arguments(parser: argparse.ArgumentParser) -> None:
     _scan_arguments(parser)
-    parser.add_argument("--id", type=int, metavar="ID", help="one servo; default: all that answer")
+    parser.add_argument("--id", type=int, metavar="ID", help="one servo (default: all that answer)")
 
 
 @dataclass(frozen=True)

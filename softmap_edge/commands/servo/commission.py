@@ -121,7 +121,7 @@ def calibrate_arguments(parser: argparse.ArgumentParser) -> None:
         help="length of tendon wound by these ticks, measured with a ruler",
     )
     parser.add_argument(
-        "--bundle", metavar="DIR", help="the model of this robot; default: the built-in finger"
+        "--bundle", metavar="DIR", help="the model of this robot (default: the built-in finger)"
     )
     effects_argument(parser)
     bundle_arguments(parser)
@@ -243,10 +243,12 @@ def pull_arguments(parser: argparse.ArgumentParser) -> None:
         "--rig", required=True, metavar="FILE.toml", help="the rig; ceilings are written into it"
     )
     parser.add_argument(
-        "--bundle", metavar="DIR", help="the finger, with its calibration (the built-in one)"
+        "--bundle",
+        metavar="DIR",
+        help="the model, with its calibration (default: the built-in finger)",
     )
     effects_argument(parser)
-    parser.add_argument("--servo", type=int, metavar="ID", help="this servo alone; default: all")
+    parser.add_argument("--servo", type=int, metavar="ID", help="this servo alone (default: all)")
     hold_argument(parser)
 
 

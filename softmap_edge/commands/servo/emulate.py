@@ -127,13 +127,13 @@ def emulate(args: EmulateOptions) -> int:
     if not args.hide:
         check_idle({"--strength": args.strength}, "nothing is hidden; give --hide NAME with it")
     load_own(args)
-    whole = open_model(args.bundle)
-    calibration = own_map(whole)
+    model = open_model(args.bundle)
+    calibration = own_map(model)
     names = [name for name in args.hide.split(",") if name]
-    laws = hidden_laws(names, whole.channels, args.seed, strength)
+    laws = hidden_laws(names, model.channels, args.seed, strength)
     senders = _senders(args)
     robot = emulated_robot(
-        whole,
+        model,
         calibration,
         laws,
         seed=args.seed,
@@ -148,7 +148,7 @@ def emulate(args: EmulateOptions) -> int:
         if args.rig:
             _written(rig, args.rig)
         if args.calibrated:
-            save_bundle(replace(whole, calibration=calibration), args.calibrated)
+            save_bundle(replace(model, calibration=calibration), args.calibrated)
         stack.enter_context(streaming(finger, senders))
         document = {
             "schema": "softmap.emulated/1",
@@ -156,8 +156,8 @@ def emulate(args: EmulateOptions) -> int:
             "baud": args.baud,
             "servos": len(rig.servos),
             "ready": not args.fresh,
-            "robot": whole.robot,
-            "points": len(whole.rest),
+            "robot": model.robot,
+            "points": len(model.rest),
             "frames_a_second": FRAMES,
             "hidden": names,
             "rig": args.rig,
@@ -165,7 +165,8 @@ def emulate(args: EmulateOptions) -> int:
             "stream": args.stream,
         }
         print(
-            json.dumps(document) if args.json else _said(args, bus.path, whole, names), flush=True
+            json.dumps(document) if args.json else _sentence(args, bus.path, model, names),
+            flush=True,
         )
         _obey(bus, finger)
     return 0
@@ -191,7 +192,7 @@ def _written(rig: Rig, path: str) -> None:
     replace(rig, made={**rig.made, EMULATED: {"by": "softmap servo emulate"}}).write(path)
 
 
-def _said(args: EmulateOptions, port: str, model: Model, names: list[str]) -> str:
+def _sentence(args: EmulateOptions, port: str, model: Model, names: list[str]) -> str:
     """Return a text on the emulated robot, and the commands to type next."""
     lines = [
         f"{port} at {args.baud} baud, ids 1 to {model.channels}: '{model.robot}' is emulated, "
@@ -290,9 +291,9 @@ def _bare(args: EmulateOptions, count: int) -> int:
             "port": bus.path,
             "baud": args.baud,
         }
-        said = f"{bus.path} at {args.baud} baud, ids 1 to {count}, no finger; {FAULTS}"
+        text = f"{bus.path} at {args.baud} baud, ids 1 to {count}, no finger; {FAULTS}"
         print(
-            json.dumps(document | {"servos": count, "ready": False}) if args.json else said,
+            json.dumps(document | {"servos": count, "ready": False}) if args.json else text,
             flush=True,
         )
         _obey(bus, None)
@@ -309,11 +310,11 @@ def _obey(bus: _core.EmulatedBus, finger: EmulatedFinger | None) -> None:
             if fault := line.split():
                 try:
                     _break(bus, finger, fault)
-                except ServoError as said:
-                    print(f"{line.strip()}: {said}; {known}", file=sys.stderr)
+                except ServoError as refused:
+                    print(f"{line.strip()}: {refused}; {known}", file=sys.stderr)
                 except (ValueError, OverflowError):
                     print(
-                        f"{line.strip()}: not all of it are numbers of that kind; {known}",
+                        f"{line.strip()}: some of its values are not numbers of that kind; {known}",
                         file=sys.stderr,
                     )
         to_stderr(

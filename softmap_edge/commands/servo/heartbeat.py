@@ -46,7 +46,7 @@ def heartbeat_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--new-key",
         metavar="FILE",
-        help="make a key, to be copied to both computers; nothing beats",
+        help="make a key to copy to both computers; send no heartbeat",
     )
     parser.add_argument("--every", type=float, metavar="S", help=f"between beats ({EVERY:g})")
 
@@ -78,7 +78,10 @@ def heartbeat(args: HeartbeatOptions) -> int:
         raise ServoError(
             f"--every {every:g} s; allowed is 0.001 to 1 s, well below the timeout in rig.toml"
         )
-    pressed, beats, warned, begun = False, 0, False, time.monotonic()
+    pressed = False
+    beats = 0
+    warned = False
+    begun = time.monotonic()
     with Heart(host, int(port), read_key(args.key)) as heart, _keys() as keys:
         if not args.json:
             print(f"beating for {args.robot}: {KEYS}", flush=True)

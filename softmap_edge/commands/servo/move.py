@@ -93,7 +93,7 @@ def move_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--bundle",
         metavar="DIR",
-        help="bundle with the calibration (default: built-in finger)",
+        help="the model, with its calibration (default: the built-in finger)",
     )
     effects_argument(parser)
     parser.add_argument("--servo", type=int, metavar="ID", help="jog this servo, by --by")
@@ -200,7 +200,10 @@ def _by_keys(jog: Jog, hand: Keys) -> None:
 
     The servo keeps its torque until the key is known to be released.
     """
-    chosen, count, presses, step = 0, len(jog.rig.servos), 0, 0.0
+    chosen = 0
+    count = len(jog.rig.servos)
+    presses = 0
+    step = 0.0
     ended: Literal["", "window", "travel"] = ""
     while not hand.stopped:
         jog.robot.time.there()
@@ -281,18 +284,18 @@ def _go(args: MoveOptions, command: str, seconds: float) -> int:
     document |= {"short": short or None}
     cut = f" (nearest to {_mm(u)} within its window)" if _cut(u, done) else ""
     came = "came only to" if short and not cut else "came to"
-    said = (
+    text = (
         f"sent to {_mm(done)} mm{cut}, {came} {_mm(at)} mm by the servos; slack again, torque is "
         "off"
     )
-    print(json.dumps(document) if args.json else said)
+    print(json.dumps(document) if args.json else text)
     return _reported(args, short, stood)
 
 
 def _reported(args: MoveOptions, short: str, stood: str) -> int:
     """Report a move that missed its goal and servos that did not turn; return the exit code."""
-    for said in filter(None, (short, stood)):
-        to_stderr(f"softmap servo move: {with_files(said, args)}")
+    for sentence in filter(None, (short, stood)):
+        to_stderr(f"softmap servo move: {with_files(sentence, args)}")
     return CAME_SHORT if short or stood else 0
 
 
@@ -361,16 +364,16 @@ def _far(
     most: Sequence[float | None],
 ) -> str:
     """Return a line on servos too far from their targets after a move by `away` ticks, or ""."""
-    said = []
+    sentences = []
     for servo, to, at, way, mA in zip(rig.servos, target, position, away, most):
         allowed = max(LEAST_SHORT, SHORT * abs(way))
         if not abs(at - to) <= allowed:
-            said.append(
+            sentences.append(
                 f"servo {servo.id} stands {at - to:+.0f} ticks from its goal, allowed are "
                 f"{allowed:.0f}"
             )
-            said[-1] += "" if mA is None else f", under at most {mA:.0f} mA"
-    return "; ".join([*said, HELD]) if said else ""
+            sentences[-1] += "" if mA is None else f", under at most {mA:.0f} mA"
+    return "; ".join([*sentences, HELD]) if sentences else ""
 
 
 def _off(robot: Controller, command: Floats, what: str) -> float:

@@ -14,6 +14,7 @@ const SPEED = 20;      // frames per second while playing
 
 let state = null, run = null, where = null, number = 0, frame = 0, mask = null, maskWords = "", playing = 0, tab = "see", most = 1, asked = -1;
 let shapes = new Map(), version = 0, worstFrames = [], checking = false;
+let broken = { model: "", why: "" };  // the last check that ended in an error, and its accepted steps
 const scene = new Scene($("scene"));
 const timeline = new Timeline($("timeline"), go, (first, last) => select(Uint8Array.from({ length: run.frames }, (_, k) => Number(k >= first && k <= last)), `frames ${first} to ${last}`));
 const steps = new Steps({ say, trial: () => { draw(); label(); }, frame: () => frame, run: () => number, name: () => $("runs").selectedOptions[0]?.textContent ?? "this run" });
@@ -31,6 +32,7 @@ connect(
   },
   async () => {
     try {
+      broken = { model: "", why: "" };
       changed((await ask("state")).state);
       steps.setLibrary((await ask("library")).library);
     } catch (fault) { failed(fault); }
@@ -38,9 +40,9 @@ connect(
   words => { say(words, true); pause(); },
 );
 
-function changed(told) {
+function changed(now) {
   const before = state;
-  state = told;
+  state = now;
   if (before === null || before.runs.length !== state.runs.length) {
     $("runs").replaceChildren(...state.runs.map((one, k) => Object.assign(document.createElement("option"), { value: k, textContent: `${one.name} (${one.frames} frames${k ? ", held out" : ""})` })));
   }
@@ -57,12 +59,18 @@ function changed(told) {
 
 /** Check again after each change of the model: what follows needs it. */
 function check() {
-  if (checking || state.check.state !== "not done" || state.busy) return;
+  if (checking || state.check.state !== "not done" || state.busy || broken.model === model()) return;
   checking = true;
-  ask("check").catch(failed).finally(() => { checking = false; });
+  ask("check").catch(fault => { broken = { model: model(), why: fault.message }; failed(fault); }).finally(() => { checking = false; });
 }
 
-const ready = () => state.busy ? "Working …" : `Ready. Accepted steps: ${state.accepted.length}.`;
+const model = () => JSON.stringify(state.accepted);
+
+function ready() {
+  if (state.busy) return "Working …";
+  if (state.check.state === "not done" && broken.model === model()) return broken.why;
+  return `Ready. Accepted steps: ${state.accepted.length}.`;
+}
 
 function showCheck() {
   const check = state.check, passed = check.state === "passed";
@@ -77,11 +85,11 @@ async function load(which) {
   const mine = ++version;
   say("Loading the run …");
   try {
-    const told = await ask("run", { run: which });
+    const answer = await ask("run", { run: which });
     if (mine !== version) return;
-    const kept = run && which === number && told.frames === run.frames;
+    const kept = run && which === number && answer.frames === run.frames;
     number = which;
-    run = new Run(told);
+    run = new Run(answer);
     shapes = new Map();
     if (!kept) { mask = null; frame = worst()[0]?.frame ?? 0; }
     scene.setBody(run.arrays.triangles, run.arrays.rest);
@@ -116,11 +124,11 @@ async function numbers(mine) {
   const all = () => true, before = run.rms("before", all), after = run.rms("after", all);
   const first = [["bundle", `${mm(before)} mm`, "RMS, all points"], ...(after === undefined ? [] : [["with the steps", `${mm(after)} mm`, "RMS, all points"]])];
   put(first);
-  const told = (await ask("comparison", { run: number })).comparison;
+  const answer = (await ask("comparison", { run: number })).comparison;
   if (mine !== version) return;
-  const e = told.error;
-  put([...first, ["tip", `${mm(e.tip_rms_mm)} mm`, "RMS"], ["95 % within", `${mm(e.p95_mm)} mm`, "of the points"], ["noise floor", `${mm(told.noise_floor_mm)} mm`, told.floor_is_bound ? "upper bound" : "RMS"]]);
-  const memory = told.memoryless_floor;
+  const e = answer.error;
+  put([...first, ["tip", `${mm(e.tip_rms_mm)} mm`, "RMS"], ["95 % within", `${mm(e.p95_mm)} mm`, "of the points"], ["noise floor", `${mm(answer.noise_floor_mm)} mm`, answer.floor_is_bound ? "upper bound" : "RMS"]]);
+  const memory = answer.memoryless_floor;
   $("floor").textContent = memory ? `No model without memory has an error below ${mm(memory.mm)} mm on the ${memory.frames} frames of repeated poses; this model has ${mm(memory.error_mm)} mm there.` : "";
 }
 
@@ -166,8 +174,8 @@ async function fetchShape() {
   if (asked >= 0) return;              // one request at a time; the newest frame follows
   asked = at;
   try {
-    const told = await ask("shape", { run: number, frame: at });
-    if (mine === version) { if (shapes.size > KEPT) shapes.clear(); shapes.set(at, told.arrays); }
+    const answer = await ask("shape", { run: number, frame: at });
+    if (mine === version) { if (shapes.size > KEPT) shapes.clear(); shapes.set(at, answer.arrays); }
   } catch (fault) { if (mine === version) failed(fault); asked = -1; return; }
   asked = -1;
   if (frame !== at || mine !== version) fetchShape(); else draw();

@@ -12,12 +12,12 @@ export function connect(events, opened, closed) {
   socket.binaryType = "arraybuffer";
   socket.onopen = () => { heard = true; opened(); };
   socket.onmessage = event => {
-    const told = typeof event.data === "string" ? { ...JSON.parse(event.data), arrays: {} } : unpack(event.data);
-    if (told.event) return events(told);
-    const waiting = pending.get(told.re);
-    pending.delete(told.re);
+    const message = typeof event.data === "string" ? { ...JSON.parse(event.data), arrays: {} } : unpack(event.data);
+    if (message.event) return events(message);
+    const waiting = pending.get(message.re);
+    pending.delete(message.re);
     if (!waiting) return;
-    if (told.error) waiting.reject(new Error(told.error)); else waiting.resolve(told);
+    if (message.error) waiting.reject(new Error(message.error)); else waiting.resolve(message);
   };
   socket.onclose = () => {
     for (const waiting of pending.values()) waiting.reject(new Error("The connection is lost."));

@@ -65,7 +65,7 @@ export class Steps {
     $("simulated").textContent = state.diagnosis_current ? "" : "Needs a diagnosis of these runs and this model: open step 3.";
     if (accepted(before) !== accepted(state)) this.reset();
     else this.buttons();
-    if (!before || JSON.stringify(before) !== JSON.stringify(state)) ask("diagnosis").then(told => { this.diagnosis = told.diagnosis; this.found(); }, fault => this.page.say(fault.message, true));
+    if (!before || JSON.stringify(before) !== JSON.stringify(state)) ask("diagnosis").then(answer => { this.diagnosis = answer.diagnosis; this.found(); }, fault => this.page.say(fault.message, true));
   }
 
   setRun(run) { this.run = run; this.trial = null; this.draw(); if (this.changed()) this.tries(); }
@@ -205,12 +205,12 @@ export class Steps {
     this.trying = true;
     const frame = this.page.frame(), run = this.page.run();
     try {
-      const told = await ask("try", { run, frame, effects: this.names, params: this.params });
-      this.trial = { frame, run, points: told.arrays.points };
+      const answer = await ask("try", { run, frame, effects: this.names, params: this.params });
+      this.trial = { frame, run, points: answer.arrays.points };
       this.base ??= {};
-      const tried = this.run.tried, now = this.run.rms(this.run.newest, k => tried.has(k)), off = told.rms_mm - now;
+      const tried = this.run.tried, now = this.run.rms(this.run.newest, k => tried.has(k)), off = answer.rms_mm - now;
       const judged = Math.abs(off) < 0.005 * now ? "no change" : off < 0 ? "better" : "worse";
-      $("trial").textContent = `Trial on ${this.page.name()}: ${mm(now)} → ${mm(told.rms_mm)} mm RMS, ${judged}${tried.size < this.run.frames ? ` (${tried.size} of ${this.run.frames} frames)` : ""}.`;
+      $("trial").textContent = `Trial on ${this.page.name()}: ${mm(now)} → ${mm(answer.rms_mm)} mm RMS, ${judged}${tried.size < this.run.frames ? ` (${tried.size} of ${this.run.frames} frames)` : ""}.`;
       $("trial").className = { better: "good", worse: "bad" }[judged] ?? "";
       this.page.trial();
     } catch (fault) { $("trial").textContent = fault.message; $("trial").className = "bad"; }
@@ -222,11 +222,11 @@ export class Steps {
     $("fit").disabled = true;
     $("trial").textContent = "Fitting to the first run …";
     try {
-      const told = (await ask("fit", { effects: this.names, params: this.params })).fit;
-      this.params = told.values;
+      const answer = (await ask("fit", { effects: this.names, params: this.params })).fit;
+      this.params = answer.values;
       this.list();
       await this.tries();
-      $("trial").textContent += ` The fit on the first run, at the places that a diagnosis compares: ${mm(told.before_rms_mm)} mm before, ${mm(told.after_held_out_rms_mm)} mm on blocks held out.`;
+      $("trial").textContent += ` The fit on the first run, at the places that a diagnosis compares: ${mm(answer.before_rms_mm)} mm before, ${mm(answer.after_held_out_rms_mm)} mm on blocks held out.`;
     } catch (fault) { $("trial").textContent = fault.message; $("trial").className = "bad"; }
     this.buttons();
   }

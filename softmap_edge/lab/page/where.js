@@ -7,10 +7,10 @@ const TITLES = { direction: "Direction of motion", speed: "Speed", dwell: "Time 
 
 /** A run as the program sends it: squared errors (K, S) in mm² and counts of visible points. */
 export class Run {
-  constructor(told) {
-    const a = told.arrays;
-    Object.assign(this, { frames: told.frames, points: told.points, names: told.section_names, classes: told.classes, loops: told.loops,
-      timeless: told.timeless, tried: new Set(told.try_frames), arrays: a, sections: told.section_names.length });
+  constructor(message) {
+    const a = message.arrays;
+    Object.assign(this, { frames: message.frames, points: message.points, names: message.section_names, classes: message.classes, loops: message.loops,
+      timeless: message.timeless, tried: new Set(message.try_frames), arrays: a, sections: message.section_names.length });
     this.frameErrors = { before: this.perFrame(a.before), ...(a.after && { after: this.perFrame(a.after) }) };
   }
 

@@ -55,7 +55,9 @@ def find_delimiter(line: str) -> str:
         if len(cells) > 1 and all(_COMMA_NUMBER.fullmatch(cell) for cell in cells):
             return mark
     best = max(DELIMITERS, key=line.count)
-    return best if best in line else (" " if " " in line.strip() else ",")
+    if best in line:
+        return best
+    return " " if " " in line.strip() else ","
 
 
 def is_number(cell: str) -> bool:

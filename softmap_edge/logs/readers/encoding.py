@@ -136,7 +136,7 @@ def is_cut(path: Path) -> bool:
         OSError: the file cannot be read.
     """
     encoding, size = encoding_of(path)[0], path.stat().st_size
-    unit = 4 if encoding.startswith("utf-32") else 2 if encoding.startswith("utf-16") else 1
+    unit = _unit_of(encoding)
     if size % unit:
         return True
     if unit == 4 or encoding not in (PLAIN, "utf-16", "utf-16-le", "utf-16-be"):
@@ -151,8 +151,22 @@ def is_cut(path: Path) -> bool:
         return len(tail) > 1 and 0xD8 <= tail[-2 if big else -1] < 0xDC  # the first half of a pair
     for length, byte in enumerate(reversed(tail), 1):
         if byte < 0x80 or byte >= 0xC0:
-            return byte >= 0xC0 and length < (2 if byte < 0xE0 else 3 if byte < 0xF0 else 4)
+            return byte >= 0xC0 and length < _length_from(byte)
     return False
+
+
+def _unit_of(encoding: str) -> int:
+    """Return the bytes of a code unit."""
+    if encoding.startswith("utf-32"):
+        return 4
+    return 2 if encoding.startswith("utf-16") else 1
+
+
+def _length_from(first: int) -> int:
+    """Return the bytes of a UTF-8 character whose first byte is `first`, 0xC0 or above."""
+    if first < 0xE0:
+        return 2
+    return 3 if first < 0xF0 else 4
 
 
 def is_wide(encoding: str) -> bool:

@@ -163,13 +163,11 @@ def _class_of(value: Any, kind: str) -> str:
     # scipy's form of values that it cannot open
     if name is None and "s2" in (value.dtype.names or ()) and value.size:
         name = value.reshape(-1)[0]["s2"]
-    text = (
-        name.decode("latin-1")
-        if isinstance(name, bytes)
-        else str(name)
-        if isinstance(name, str)
-        else kind
-    )
+    text = kind
+    if isinstance(name, bytes):
+        text = name.decode("latin-1")
+    elif isinstance(name, str):
+        text = str(name)
     return "".join(c for c in text if c.isprintable())[:40]
 
 

@@ -76,7 +76,7 @@ class Account:
     @property
     def remarks(self) -> list[str]:
         """Return further remarks on the file, as sentences."""
-        said = []
+        sentences = []
         checked = self.closing is not None and self.closing.data
         if self.unchecked and not checked:
             every = self.unchecked >= self.chunks
@@ -85,10 +85,10 @@ class Account:
                 if every
                 else f"{self.unchecked} chunks carry no checksum"
             )
-            said.append(f"{which}: numbers that were damaged would not be noticed")
+            sentences.append(f"{which}: numbers that were damaged would not be noticed")
         if self.odd:
-            said.append(f"{self.odd} records of an unknown kind were passed over")
-        return said
+            sentences.append(f"{self.odd} records of an unknown kind were passed over")
+        return sentences
 
     def _left_out(self) -> list[str]:
         lines = []

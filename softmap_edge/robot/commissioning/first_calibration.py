@@ -75,8 +75,8 @@ def radius(pulley_mm: float, ruler: tuple[float, float] | None = None) -> Radius
         )
     weights = np.array([sigma, doubt]) ** -2.0
     both = float(weights @ [pulley_mm, read] / weights.sum())
-    said = f"pulley {pulley_mm:g} mm, ruler {mm:g} mm for {ticks:g} ticks"
-    return Radius(both, float(weights.sum() ** -0.5), said)
+    source = f"pulley {pulley_mm:g} mm, ruler {mm:g} mm for {ticks:g} ticks"
+    return Radius(both, float(weights.sum() ** -0.5), source)
 
 
 def bends(model: Model, k: int) -> str:

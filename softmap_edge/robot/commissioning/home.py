@@ -79,8 +79,8 @@ def relax(rig: Rig) -> list[int]:
         ServoError: a servo does not answer, is another model, is not set up, or reports an error.
     """
     seen = examined(rig.port, rig.baud, members(rig), release=True)
-    if said := refusal(seen):
-        raise ServoError(said)
+    if message := refusal(seen):
+        raise ServoError(message)
     return [one.found.firmware for one in seen if one.found is not None]
 
 
@@ -99,7 +99,10 @@ def prove(rig: Rig, confirmed: str, *, new: bool = False) -> Homed:
     with opened(rig.port, rig.baud) as bus:
         positions = _watched(bus, rig)
         known = [marked(bus, servo.id, servo.home) for servo in rig.servos]
-        homes, away, turns, far = [], [], [], []
+        homes = []
+        away = []
+        turns = []
+        far = []
         most = most_travel(rig)
         for servo, position, proved in zip(rig.servos, positions, known):
             fresh = new or servo.home is None
@@ -114,7 +117,7 @@ def prove(rig: Rig, confirmed: str, *, new: bool = False) -> Homed:
         for servo, home in zip(rig.servos, homes):
             set_mark(bus, servo.id, home)
     first = tuple(servo.id for servo in rig.servos if new or servo.home is None)
-    said = {
+    record = {
         "when": datetime.now(UTC).isoformat(timespec="seconds"),
         "how": "torque off, the finger straight, the turn nearest to the stored home",
         "confirmed": confirmed,
@@ -124,7 +127,7 @@ def prove(rig: Rig, confirmed: str, *, new: bool = False) -> Homed:
         "first": list(first),
     }
     servos = tuple(replace(servo, home=home) for servo, home in zip(rig.servos, homes))
-    changed = replace(rig, servos=servos, made={**rig.made, "homed": said})
+    changed = replace(rig, servos=servos, made={**rig.made, "homed": record})
     return Homed(changed, tuple(away), tuple(turns), first)
 
 

@@ -88,7 +88,7 @@ class Pulled:
     def __str__(self) -> str:
         low, high = self.legs
         return (
-            f"servo {self.servo.id}: {_told(low)}, {_told(high)}; its ceiling is "
+            f"servo {self.servo.id}: {_leg_text(low)}, {_leg_text(high)}; its ceiling is "
             f"{self.ceiling_mA:g} mA"
         )
 
@@ -96,12 +96,12 @@ class Pulled:
         """Return how its ceiling was found, as text."""
         low, high = self.legs
         return (
-            f"{when}: {_told(low)}, {_told(high)}, at {self.slew:g} ticks/s; times {MARGIN:g}, "
-            f"and {IDLE:g} of stall"
+            f"{when}: {_leg_text(low)}, {_leg_text(high)}, at {self.slew:g} ticks/s; "
+            f"times {MARGIN:g}, and {IDLE:g} of stall"
         )
 
 
-def _told(leg: Leg) -> str:
+def _leg_text(leg: Leg) -> str:
     how = (
         ""
         if abs(leg.reached) >= abs(leg.stroke) - LEAST_SHORT
@@ -184,9 +184,11 @@ def noted(rig: Rig, done: Sequence[Pulled]) -> Rig:
         replace(servo, current_mA=by_id[servo.id].ceiling_mA) if servo.id in by_id else servo
         for servo in rig.servos
     )
-    said = {f"servo_{id}": one.provenance(when) for id, one in by_id.items()}
+    provenance = {f"servo_{id}": one.provenance(when) for id, one in by_id.items()}
     return replace(
-        rig, servos=servos, made={**rig.made, "pulled": {**rig.made.get("pulled", {}), **said}}
+        rig,
+        servos=servos,
+        made={**rig.made, "pulled": {**rig.made.get("pulled", {}), **provenance}},
     )
 
 
@@ -259,8 +261,10 @@ def _stand(jog: Jog, k: int, hand: Deadman) -> list[tuple[float, float]]:
             stood, times = stood + new, times + [held] * len(new)
         last = now
         lately = stood[min(bisect_right(times, held - STANDS), max(len(stood) - LEAST_READ, 0)) :]
-        whole = held >= STANDS and len(lately) >= LEAST_READ
-        if whole and (np.ptp([away for away, _ in lately]) <= STILL or held >= STANDS + PATIENCE):
+        complete = held >= STANDS and len(lately) >= LEAST_READ
+        if complete and (
+            np.ptp([away for away, _ in lately]) <= STILL or held >= STANDS + PATIENCE
+        ):
             return lately
         if held >= STANDS + PATIENCE:
             raise ServoError(

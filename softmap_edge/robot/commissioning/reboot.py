@@ -41,13 +41,13 @@ class Restarted:
 
     def to_dict(self) -> Document:
         """Return the document softmap.restarted/1."""
-        said = hardware(self.reported)
+        errors = hardware(self.reported)
         return {
             "schema": "softmap.restarted/1",
             "port": self.port,
             "baud": self.baud,
             "id": self.id,
-            "reported": said,
+            "reported": errors,
         }
 
 

@@ -113,21 +113,21 @@ def changes(entry: Entry, found: ServoState, done: SetUp, file: str | Path) -> l
     if entry.rig is None:
         return []
     ids, id = [servo.id for servo in entry.rig.servos], done.servo.id
-    said = []
+    sentences = []
     for one in entry.rig.servos:
         if one.id == entry.listed:
-            said += _measured(one, entry.invalidated(done), done.recounted, file)
+            sentences += _measured(one, entry.invalidated(done), done.recounted, file)
     if found.id != id and entry.listed == found.id:
-        said.append(
+        sentences.append(
             f"{file}: servo {found.id} is servo {id} now and keeps its place, command "
             f"{ids.index(found.id) + 1}"
         )
     elif found.id != id and found.id in ids:
-        said.append(
+        sentences.append(
             f"{file} keeps its servo {found.id}: this one was not set up yet, so that it is "
             "another servo"
         )
-    return said
+    return sentences
 
 
 def _measured(servo: RigServo, changed: str, recounted: bool, file: str | Path) -> list[str]:

@@ -169,13 +169,13 @@ class Controller(Supervisor):
         broken = (
             None if self.unrecorded is None or self.unrecorded in str(fault) else self.unrecorded
         )
-        said = "; ".join(filter(None, (ended, kept, broken)))
-        if said and isinstance(fault, SoftmapError):
-            raise ServoError(f"{fault}; {said}") from fault
-        if said and fault is not None and not kept:
-            fault.add_note(said)  # no servo has torque, so the original error goes on
-        elif said:
-            raise ServoError(said) if ended or kept else RecordingBroken(said)
+        message = "; ".join(filter(None, (ended, kept, broken)))
+        if message and isinstance(fault, SoftmapError):
+            raise ServoError(f"{fault}; {message}") from fault
+        if message and fault is not None and not kept:
+            fault.add_note(message)  # no servo has torque, so the original error goes on
+        elif message:
+            raise ServoError(message) if ended or kept else RecordingBroken(message)
 
     @property
     def time(self) -> Clock:
@@ -302,8 +302,8 @@ class Controller(Supervisor):
                 from going home. Earlier calls have already raised earlier faults.
             RecordingBroken: the recording ended before the loop did.
         """
-        if said := "; ".join(filter(None, self._close())):
-            raise ServoError(said)
+        if message := "; ".join(filter(None, self._close())):
+            raise ServoError(message)
         self.check_recorded()
 
     def _close(self) -> tuple[str, str]:
@@ -341,8 +341,8 @@ class Controller(Supervisor):
             if process.returncode != 0 and "error" not in self._last:
                 self._rescue(process)
             session_mark.end(self._mark)
-        if said := words.bus(self.bus):
-            self.tell(said)
+        if message := words.bus(self.bus):
+            self.tell(message)
         left = self._end.get("kept_torque") if self._drove else None
         return ended, str(self._last.get("kept") or (kept_words(left) if left else ""))
 
@@ -430,7 +430,7 @@ class Controller(Supervisor):
                 "`softmap servo heartbeat` on its computer, or mend [emergency] of rig.toml"
             )
 
-    def _wait(self, what: Callable[[], object], seconds: float, said: str) -> None:
+    def _wait(self, what: Callable[[], object], seconds: float, message: str) -> None:
         self.rig.time.wait_for(
             self._heard, lambda: what() or "error" in self._last or "gone" in self._last, seconds
         )
@@ -442,7 +442,7 @@ class Controller(Supervisor):
             raise ServoError(str(last["gone"]))
         if not came:
             raise ServoError(
-                f"{said} within {seconds:g} s (bus: {last.get('bus')}); check power and wiring"
+                f"{message} within {seconds:g} s (bus: {last.get('bus')}); check power and wiring"
             )
 
     def _send(

@@ -84,13 +84,13 @@ class Recording:
             RunError: a period has another form.
         """
         try:
-            again = _core.replay(self.limits, self._told())
+            again = _core.replay(self.limits, self._guard_inputs())
         except (TypeError, ValueError, OverflowError) as fault:
             raise RunError(f"{self.file}: damaged ({fault!s:.60}); record again") from None
         differ = []
         for k, (period, (state, cause, torque, goals)) in enumerate(zip(self.periods, again)):
-            said = [goal if torque else None for goal in goals]
-            if (state, cause, torque, said) != (
+            commanded = [goal if torque else None for goal in goals]
+            if (state, cause, torque, commanded) != (
                 period["state"],
                 period["cause"],
                 period["torque"],
@@ -108,7 +108,7 @@ class Recording:
         Raises:
             RunError: torque was never on, or a servo did not answer before it was.
         """
-        self._told()
+        self._guard_inputs()
         first = self._first
         kept = self.periods[first:]
         try:
@@ -165,7 +165,7 @@ class Recording:
         except CalibrationError as fault:
             raise RunError(f"{self.file}: damaged ({fault}); record again") from None
 
-    def _told(self) -> list[tuple[object, ...]]:
+    def _guard_inputs(self) -> list[tuple[object, ...]]:
         """Return the inputs of the guard in each period, as `_core.replay` takes them.
 
         Raises:
@@ -175,7 +175,7 @@ class Recording:
         for k, period in enumerate(self.periods):
             try:
                 servos = _servos(period, servos)
-                heard.append(_told(period))
+                heard.append(_guard_input(period))
             except (ValueError, KeyError, TypeError, AttributeError, IndexError) as fault:
                 raise RunError(
                     f"{self.file}: period {k} is damaged ({fault!s:.40}); record again"
@@ -189,7 +189,7 @@ def _servos(period: Document, servos: int | None) -> int:
     Raises:
         RunError: the period has another form, or another number of servos.
     """
-    _told(period)
+    _guard_input(period)
     forms = [type(period[key]) for key in ("state", "cause", "torque", "goal", "now")]
     if forms != [str, str, bool, list, int]:
         raise TypeError("state")
@@ -198,7 +198,7 @@ def _servos(period: Document, servos: int | None) -> int:
     return len(period["goal"])
 
 
-def _told(period: Document) -> tuple[object, ...]:
+def _guard_input(period: Document) -> tuple[object, ...]:
     """Return one period, as `_core.replay` takes it."""
     sensed: list[tuple[object, ...] | None] = []
     for k, position in enumerate(period["position"]):
@@ -299,9 +299,9 @@ def _filled(
 
     `before` is the row before the first.
     """
-    whole = np.array(
+    padded = np.array(
         [[np.nan if value is None else value for value in row] for row in before + rows], float
     )
-    at = np.where(np.isnan(whole), 0, np.arange(len(whole))[:, None])
+    at = np.where(np.isnan(padded), 0, np.arange(len(padded))[:, None])
     last = np.maximum.accumulate(at, axis=0)
-    return np.asarray(np.take_along_axis(whole, last, axis=0)[len(before) :])
+    return np.asarray(np.take_along_axis(padded, last, axis=0)[len(before) :])

@@ -45,8 +45,8 @@ def path_of(port: str) -> str | None:
 def report_last(port: str) -> None:
     """Issue a `SessionWarning` if the last session at `port` did not end normally."""
     file = mark_file(port)
-    if file is not None and (said := last_session(file)) is not None:
-        warnings.warn(SessionWarning(said), stacklevel=3)
+    if file is not None and (message := last_session(file)) is not None:
+        warnings.warn(SessionWarning(message), stacklevel=3)
 
 
 def begin(port: str, record: Path | None, loop: int) -> Path | None:

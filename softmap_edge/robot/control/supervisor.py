@@ -154,9 +154,9 @@ class Supervisor:
         do = words.onward(self._last, terminal=self.at_terminal, has_rig=self.rig.file is not None)
         return self._named(f"the robot is {what}; {do}")
 
-    def _named(self, said: str) -> str:
+    def _named(self, message: str) -> str:
         """Return a message whose commands name the rig file, if the rig was read from one."""
-        return filled(said, self.rig.file)
+        return filled(message, self.rig.file)
 
     def _silence(self) -> str | None:
         """Return state and cause if the guard released tension because no target arrived.
@@ -177,10 +177,10 @@ class Supervisor:
 
         Freezing counts only under torque.
         """
-        whole = False
-        while not whole:
+        complete = False
+        while not complete:
             if _has_more(pipe, LOOK):
-                whole = not self._take()
+                complete = not self._take()
                 continue
             self._silent += 1
             if self._frozen() and self._last.get("torque") and not self._ending:
@@ -253,24 +253,24 @@ class Supervisor:
                 return
             process.kill()
             process.wait()
-            said, kept = "the control loop died or froze; its servos were released from here", ""
+            rescued, kept = "the control loop died or froze; its servos were released from here", ""
             try:
                 with opened(self.rig.port, self.rig.baud, shared=True) as bus:
                     if left := kept_torque(bus, [servo.id for servo in self.rig.servos]):
                         kept = words.kept_words(left)
-                        said = (
+                        rescued = (
                             "the control loop died or froze; torque off was sent from here, but "
                             f"{kept}"
                         )
             except ServoError as fault:
                 kept = f"the servos could not be released ({fault}): switch them off"
-                said = f"the control loop died or froze, and {kept}"
+                rescued = f"the control loop died or froze, and {kept}"
             with self._heard:
                 self._last |= {
                     "state": "fault",
                     "cause": "loop",
                     "torque": bool(kept),
-                    "rescued": said,
+                    "rescued": rescued,
                     "kept": kept,
                 }
                 self._heard.notify_all()

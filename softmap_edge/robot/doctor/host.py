@@ -129,13 +129,11 @@ def real_time(proc: Path = PROC) -> Iterator[Line]:
     )
     may = bool(rights >> CAP_IPC_LOCK & 1)
     enough = may or locked < 0 or locked >= LOCKED
-    right = (
-        "CAP_IPC_LOCK"
-        if may
-        else "unlimited"
-        if locked < 0
-        else f"limit {locked >> 10} KiB, {LOCKED >> 10} needed"
-    )
+    right = f"limit {locked >> 10} KiB, {LOCKED >> 10} needed"
+    if may:
+        right = "CAP_IPC_LOCK"
+    elif locked < 0:
+        right = "unlimited"
     yield Line("locked memory", OK if enough else WARNING, right, "" if enough else do)
 
 

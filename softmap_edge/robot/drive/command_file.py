@@ -31,7 +31,10 @@ Floats = NDArray[np.float64]
 HEAD = re.compile(r"# softmap commands (\d+); robot (.{0,80}); unit (\S{1,16})")
 VERSION = 1
 # limits: bytes of a file, its rows, its channels, characters of a label
-BYTES, ROWS, CHANNELS, TEXT = 1 << 27, 1_000_000, 64, 200
+BYTES = 1 << 27
+ROWS = 1_000_000
+CHANNELS = 64
+TEXT = 200
 REMEDY = "write it with `softmap next --out`"
 BEFORE = ("t",)
 AFTER = ("gravity_x", "gravity_y", "gravity_z", "load_g", "temperature_c", "look", "block", "note")

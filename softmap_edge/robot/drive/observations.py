@@ -238,14 +238,17 @@ def read_kept(file: Path) -> Kept:
         message = "".join(c if c.isprintable() else "?" for c in f"{fault!s:.60}")
         raise RunError(
             f"{file}: damaged, or no `.seen` file of a recording ({message}); without it the "
-            "recording is one of which nothing was seen"
+            "recording counts as one without camera frames"
         ) from None
     return kept
 
 
 def _read_lines(lines: BinaryIO, kept: Kept, checked: bool, file: Path, ends: bool) -> None:
     """Add the content of the lines after the first to `kept`, and what cannot be read of them."""
-    wrong, count, line, ended = [], 1, b"\n", not ends
+    wrong = []
+    count = 1
+    line = b"\n"
+    ended = not ends
     while (line := lines.readline(LONGEST)).endswith(b"\n"):
         count += 1
         text, sound = _checked(line)

@@ -104,8 +104,8 @@ def _seen(recording: Recording, kept_in: Path) -> tuple[Run, str | None]:
     if len(inside) and not inside.any():
         raise RunError(
             f"{kept_in}: none of its {len(inside)} frames was seen while {recording.file.name} "
-            "was driven; is it that of another recording? Move it away, and the run is one of "
-            "which nothing was seen"
+            "was driven; is it that of another recording? Move it away, and the run counts as "
+            "one without camera frames"
         )
     return replace(run, robot=kept.robot), kept.lacks
 

@@ -91,9 +91,9 @@ def course(
     rest = np.asarray(kinematics.tip.evaluate(kinematics.home[None]))[0]
 
     def placed(points: Floats) -> Floats:
-        whole = np.tile(rest, (len(points), 1))
-        whole[:, plane] += points
-        return whole
+        path = np.tile(rest, (len(points), 1))
+        path[:, plane] += points
+        return path
 
     line = figure(name, amplitude)
     way = placed(even(line, PATH_POINTS))

@@ -250,8 +250,8 @@ class Kinematics:
         """The delay of the model's effects (C,) s: pure delay plus time constant of the lag."""
         there = _core.Chain(list(PREVIEWED), self.model.channels)
         values = valued(there, self.model.params, there.null)
-        wanted = (f"{name}.{number}" for name, number in PREVIEWED.items())
-        delay, lag = (values[[label == group for group in there.group_labels]] for label in wanted)
+        labels = (f"{name}.{number}" for name, number in PREVIEWED.items())
+        delay, lag = (values[[label == group for group in there.group_labels]] for label in labels)
         return delay, lag
 
     def effective_commands(self, commands: Floats, t: Floats, rested: Floats) -> Floats:

@@ -48,7 +48,10 @@ Floats = NDArray[np.float64]
 IDLE = 0.05  # of a servo's stall current: used by motor and gears without a load
 # of the window: largest distance, besides full turns, of the rig's home from the calibration's
 ASTRAY = 0.03
-FINGER, CEILING, DATA, OWN = "safety.toml", "rig.toml", "the servo's data", "softmap"
+FINGER = "safety.toml"
+CEILING = "rig.toml"
+DATA = "the servo's data"
+OWN = "softmap"
 # None: unit of the commands
 UNITS = {name: unit for name, (_, _, unit) in _core.limit_ranges().items()}
 _SIMPLE: Final = (
@@ -278,13 +281,13 @@ def _box(calibration: Calibration, safety: Safety) -> Floats:
         float(np.min(away[:, 0] / np.minimum(least, -1e-300))),
     )
     inside = share * alone
-    whole = np.stack([np.ceil(inside[:, 0] - 1e-6), np.floor(inside[:, 1] + 1e-6)], axis=1)
-    if np.any(whole[:, 0] > -1.0) or np.any(whole[:, 1] < 1.0):
+    ticks = np.stack([np.ceil(inside[:, 0] - 1e-6), np.floor(inside[:, 1] + 1e-6)], axis=1)
+    if np.any(ticks[:, 0] > -1.0) or np.any(ticks[:, 1] < 1.0):
         raise ServoError(
-            f"the window of {FINGER} leaves servos {whole.tolist()} ticks about home, less than "
+            f"the window of {FINGER} leaves servos {ticks.tolist()} ticks about home, less than "
             "one each way; calibrate again about a straight finger"
         )
-    return whole
+    return ticks
 
 
 def _at_home(rig: Rig, calibration: Calibration, box: Floats) -> Calibration:

@@ -138,12 +138,10 @@ def errors(report: LoopReport) -> str:
 
 def bus(counts: BusCounts) -> str:
     """Return a sentence on lost or unrequested answers; "" if there are none."""
-    asked, lost, damaged, unasked = (
-        counts["asked"],
-        counts["lost"],
-        counts["damaged"],
-        counts["unasked"],
-    )
+    asked = counts["asked"]
+    lost = counts["lost"]
+    damaged = counts["damaged"]
+    unasked = counts["unasked"]
     message = [f"{unasked} answers came that this program did not ask for"] if unasked else []
     message += (
         [f"{lost} of {asked} answers of the servos were lost"] if lost > MANY_LOST * asked else []

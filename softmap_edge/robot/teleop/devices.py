@@ -73,15 +73,12 @@ def camera_number(text: str, devices: Path = DEVICES) -> int | None:
         raise TeleopError(
             f"camera: {text!r:.80} cannot be read ({why.lower()}); {there(devices)}"
         ) from None
-    what = (
-        "is no camera"
-        if exists
-        else "is not there"
-        if number is None
-        else f"links to camera {number}, now gone"
-    )
-    if not exists and path == devices / f"video{number}":
+    if exists:
+        what = "is no camera"
+    elif number is None or path == devices / f"video{number}":
         what = "is not there"
+    else:
+        what = f"links to camera {number}, now gone"
     raise TeleopError(f"camera {text:.120}: {what}; {there(devices)}; plug it in, or give another")
 
 

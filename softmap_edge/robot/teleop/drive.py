@@ -137,11 +137,17 @@ class Drive:
         show: Callable[[DriveState], None] | None = None,
         say: Callable[[str], None] | None = None,
     ) -> None:
-        self._robot, self._aim, self._eyes, self._inputs = robot, aim, eyes, list(inputs)
+        self._robot = robot
+        self._aim = aim
+        self._eyes = eyes
+        self._inputs = list(inputs)
         self._map = HandMap(aim.box, reach, flip)
         self._kinematics, self._settled = kinematics, kinematics.inverse()
         self._clutch, self._gesture, self._filter = Clutch(), Deadman(rule), OneEuro()
-        self._stays, self._sent, self._show, self._say = stays, sent, show, say
+        self._stays = stays
+        self._sent = sent
+        self._show = show
+        self._say = say
         self._smooth: OneEuroState | None = None
         self._last_sight = -1
         self._own = OwnHand()  # the hand followed since the press
@@ -236,11 +242,11 @@ class Drive:
 
     def _holding(self, now: float) -> tuple[str, Controls]:
         """Return the holder of the key, and the input in use: the holder's, or the first one."""
-        said = [(one.name, one.controls(now)) for one in self._inputs]
-        for name, controls in said:
+        states = [(one.name, one.controls(now)) for one in self._inputs]
+        for name, controls in states:
             if controls.held:
                 return name, controls
-        return "", said[0][1] if said else Controls()
+        return "", states[0][1] if states else Controls()
 
     def _lacking(self, now: float, state: str, controls: Controls, key: bool) -> str:
         """Return what driving lacks, as text; empty if nothing."""
@@ -377,15 +383,15 @@ class Drive:
             self.account.ended, self.account.failed = self._eyes.gone, True  # tension is released
 
     def _tell(self, report: LoopReport) -> None:
-        said = words.sentence(report)
+        text = words.sentence(report)
         if self._clutch.stage == "lost":
-            said += f"; {words.lost(report, self._clutch.why)}"
+            text += f"; {words.lost(report, self._clutch.why)}"
         elif self._clutch.stage == "waiting" and self._clutch.why:
-            said += f"; waiting: {self._clutch.why}"
-        if said != self._line:
-            self._note(said)
+            text += f"; waiting: {self._clutch.why}"
+        if text != self._line:
+            self._note(text)
 
-    def _note(self, said: str) -> None:
-        self._line = said
+    def _note(self, text: str) -> None:
+        self._line = text
         if self._say is not None:
-            self._say(said)
+            self._say(text)

@@ -78,6 +78,6 @@ class Deadman:
         if straight is None:
             self._fist = None
         elif self._fist is None:  # nothing is assumed between the thresholds
-            self._fist = False if straight > OPEN else True if straight < CLOSED else None
+            self._fist = straight < CLOSED if straight > OPEN or straight < CLOSED else None
         else:
             self._fist = straight < (OPEN if self._fist else CLOSED)

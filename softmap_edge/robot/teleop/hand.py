@@ -27,7 +27,10 @@ Floats = NDArray[np.float64]
 Side = Literal["left", "right"]
 
 LANDMARKS = 21  # landmarks of a hand
-WRIST, INDEX_KNUCKLE, INDEX_TIP, MIDDLE_KNUCKLE = 0, 5, 8, 9
+WRIST = 0
+INDEX_KNUCKLE = 5
+INDEX_TIP = 8
+MIDDLE_KNUCKLE = 9
 # least px from wrist to middle knuckle: landmark noise of 1 to 2 px turns the frame by 10°
 SMALLEST = 12.0
 FARTHEST = 3.0  # hand scales: no finger is longer, so a longer one is a detection error

@@ -32,7 +32,8 @@ _TRY = """
 import sys
 from mediapipe.tasks import python
 from mediapipe.tasks.python import vision
-options = vision.HandLandmarkerOptions(base_options=python.BaseOptions(model_asset_path=sys.argv[1]))
+base = python.BaseOptions(model_asset_path=sys.argv[1])
+options = vision.HandLandmarkerOptions(base_options=base)
 vision.HandLandmarker.create_from_options(options).close()
 """
 _tried: set[str] = set()  # models with which a child process has created a task
@@ -190,11 +191,11 @@ def try_out(model: Path, python: str = sys.executable, limit: float = TRY_SECOND
         name = signal.Signals(-done.returncode).name
         raise TeleopError(f"landmarker: mediapipe {version} dies on this computer ({name}); {UDP}")
     if done.returncode:
-        said = [
+        lines = [
             line for line in done.stderr.decode("utf-8", "replace").splitlines() if line.strip()
         ]
         raise TeleopError(
             f"landmarker: mediapipe {version} fails here "
-            f"({brief(Exception(said[-1] if said else ''))})"
+            f"({brief(Exception(lines[-1] if lines else ''))})"
         )
     _tried.add(str(model))

@@ -54,11 +54,11 @@ class DirectMapping:
         self.box = kinematics.acting_bounds
 
     def command(self, point: ArrayLike) -> Floats:
-        """Return the point itself, within the range."""
+        """Return the point (2,) itself, within the range of the commands."""
         return np.asarray(np.clip(np.asarray(point, float), *self.box.T))
 
     def point(self, acting: ArrayLike) -> Floats:
-        """Return the effective command itself."""
+        """Return the effective command (2,) itself."""
         return np.asarray(acting, float)
 
 
@@ -85,13 +85,13 @@ class TipMapping:
         self._last = rest
 
     def command(self, point: ArrayLike) -> Floats:
-        """Return the command that should act; the search starts at the previous solution."""
+        """Return the effective command (C,) for a point (2,) mm, from the previous solution."""
         place = self._rest + (*np.asarray(point, float), 0.0)
         self._last = self._kinematics.solve(place[None], self._last).acting[0]
         return self._last
 
     def point(self, acting: ArrayLike) -> Floats:
-        """Return the position of the tip."""
+        """Return the position (2,) mm of the tip relative to u = 0, for a command (C,)."""
         tip = np.asarray(self._kinematics.tip.evaluate(np.asarray(acting, float)[None]))[0]
         return np.asarray((tip - self._rest)[:2])
 

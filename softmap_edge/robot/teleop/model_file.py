@@ -113,10 +113,10 @@ def check_model(path: str | Path) -> HandModel:
     record = _record(file)
     if record.is_file():
         with record.open("rb") as stream:
-            said = stream.read(64).decode("ascii", "replace")
-        if said != sha256:
+            recorded = stream.read(64).decode("ascii", "replace")
+        if recorded != sha256:
             raise TeleopError(
-                f"{file}: SHA-256 {sha256[:16]}…, but {record.name} says {said[:16]!r}…; fetch "
+                f"{file}: SHA-256 {sha256[:16]}…, but {record.name} says {recorded[:16]!r}…; fetch "
                 "the model again"
             )
     return HandModel(file, sha256, KNOWN.get(sha256, ""))

@@ -68,7 +68,10 @@ class OwnHand:
             if hands:
                 self.other, self._until = True, min(self._until, t)
             return None
-        self._last, self._t, self.other, self._until = own, t, False, math.inf
+        self._last = own
+        self._t = t
+        self.other = False
+        self._until = math.inf
         return own
 
 

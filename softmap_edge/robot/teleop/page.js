@@ -23,12 +23,12 @@ function connect() {
   mine.onopen = () => { opened = true; shown = 0; say(); };
   mine.onmessage = event => {
     if (typeof event.data !== "string") return binary(event.data);
-    const told = JSON.parse(event.data);
-    if (told.hello) { begin(told.hello); return; }
-    state = told;
-    shown = told.number;
+    const message = JSON.parse(event.data);
+    if (message.hello) { begin(message.hello); return; }
+    state = message;
+    shown = message.number;
     if (state.gone && source === "hand") source = "knob";
-    if (state.stage === "released" || state.stage === "lost") { if (cameFrom === null) knob = told.knob.slice(); }
+    if (state.stage === "released" || state.stage === "lost") { if (cameFrom === null) knob = message.knob.slice(); }
     keepTrail();
     say();
     schedule();
@@ -48,13 +48,13 @@ function binary(buffer) {
   else createImageBitmap(new Blob([buffer.slice(8)], { type: "image/jpeg" })).then(made => { picture?.close(); picture = made; schedule(); }, () => {});
 }
 
-function begin(told) {
-  hello = told;
+function begin(message) {
+  hello = message;
   refused = "";
-  points = Float32Array.from(told.rest.flat());
-  if (source === null) source = told.source;
-  $("source").hidden = told.camera === "none";
-  $("bars").replaceChildren(...told.axes.map(() => {
+  points = Float32Array.from(message.rest.flat());
+  if (source === null) source = message.source;
+  $("source").hidden = message.camera === "none";
+  $("bars").replaceChildren(...message.axes.map(() => {
     const bar = document.createElement("div");
     bar.className = "bar";
     for (const part of ["name", "track", "value"]) bar.append(Object.assign(document.createElement("span"), { className: part }));

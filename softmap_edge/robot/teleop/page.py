@@ -74,7 +74,10 @@ class Page:
 
     def __init__(self, port: int = PORT, host: str = "127.0.0.1", source: Source = "knob") -> None:
         self._source: Source = source
-        self._key, self._wish, self._knob, self._rest = HeldKey(), Wish(), (0.0, 0.0), (0.0, 0.0)
+        self._key = HeldKey()
+        self._wish = Wish()
+        self._knob = (0.0, 0.0)
+        self._rest = (0.0, 0.0)
         self._driver: object | None = None
         self._pages: set[object] = set()
         self._lock = threading.Lock()
@@ -146,28 +149,28 @@ class Page:
         try:
             for message in connection:
                 now = time.monotonic()
-                said = _read(message)
-                if said is None or not link.heard(said["shown"], said["t"], now):
+                document = _read(message)
+                if document is None or not link.heard(document["shown"], document["t"], now):
                     connection.close(1008, "not understood")
                     break
                 # requests that any page may make
-                if self._driver is connection or said.get("do") in ("stop", "emergency"):
-                    self._hear(said, now, link.age)
-                elif said.get("do") == "take":
+                if self._driver is connection or document.get("do") in ("stop", "emergency"):
+                    self._hear(document, now, link.age)
+                elif document.get("do") == "take":
                     self._sit(connection)
         finally:
             self._stand(connection)
 
-    def _hear(self, said: Document, now: float, age: float) -> None:
-        wish = said.get("do")
+    def _hear(self, document: Document, now: float, age: float) -> None:
+        wish = document.get("do")
         if wish in PRIORITY:
             self._wish.ask(wish)
         if (
             wish in ("stop", "emergency") or age > MAX_AGE
         ):  # requests in an old message do not count
             return
-        self._source, self._knob = said["source"], said["knob"]
-        self._key.say(said["held"], now - age)
+        self._source, self._knob = document["source"], document["knob"]
+        self._key.say(document["held"], now - age)
 
     def _sit(self, connection: ServerConnection) -> None:
         """Make this connection the driver if there is none."""
@@ -194,13 +197,7 @@ class Page:
                 if self._view is not None and link.shown >= link.sent:
                     state, points, picture = self._view()
                     sent = link.sent + 1
-                    seat = (
-                        "mine"
-                        if self._driver is connection
-                        else "free"
-                        if self._driver is None
-                        else "taken"
-                    )
+                    seat = _seat(self._driver, connection)
                     state |= {
                         "number": sent,
                         "seat": seat,
@@ -263,28 +260,35 @@ class _Link:
         return True
 
 
+def _seat(driver: object | None, page: object) -> str:
+    """Return whether a page drives (`mine`), may drive (`free`), or another one does (`taken`)."""
+    if driver is page:
+        return "mine"
+    return "free" if driver is None else "taken"
+
+
 def _read(message: str | bytes) -> Document | None:
     """Return a valid message of a page: `{t, held, source, knob, shown, do?}`; else None."""
     try:
         if not isinstance(message, str):
             return None
-        said = json.loads(message, parse_constant=lambda name: math.nan)
-        knob, t = said["knob"], said["t"]
+        document = json.loads(message, parse_constant=lambda name: math.nan)
+        knob, t = document["knob"], document["t"]
         numbers = [t, *knob]
         if len(knob) != 2 or not all(type(x) in (int, float) and math.isfinite(x) for x in numbers):
             return None
         if (
             abs(t) > 1e12
-            or type(said["held"]) is not bool
-            or said["source"] not in ("hand", "knob")
+            or type(document["held"]) is not bool
+            or document["source"] not in ("hand", "knob")
         ):
             return None
-        if type(said["shown"]) is not int or not 0 <= said["shown"] < 1 << 53:
+        if type(document["shown"]) is not int or not 0 <= document["shown"] < 1 << 53:
             return None
-        if said.get("do") not in (None, "take", "stop", "emergency", "acknowledge"):
+        if document.get("do") not in (None, "take", "stop", "emergency", "acknowledge"):
             return None
         x, y = (min(max(float(at), -1.0), 1.0) for at in knob)
-        known: Document = said
+        known: Document = document
         return known | {"knob": (x, y), "t": float(t)}
     except (ValueError, KeyError, TypeError, RecursionError, OverflowError):
         return None

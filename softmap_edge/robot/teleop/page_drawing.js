@@ -28,15 +28,15 @@ function words() {
   if (refused) return refused;
   if (!opened) return "Connection lost: the key counts as released; the finger holds, then releases tension. Reconnecting …";
   if (!state) return "Connecting to the program …";
-  let said = state.said + ".";
-  if (state.slow_ms) said += ` Messages of this page arrive up to ${(state.slow_ms / 1000).toFixed(1)} s late; driving needs less than 0.25 s.`;
-  if (state.stage === "lost") said += ` ${state.lost[0].toUpperCase()}${state.lost.slice(1)}.`;
-  else if (state.stage === "waiting" && state.why) said += ` Waiting: ${state.why}.`;
-  else if (state.stage === "released" && state.lacking && state.level === "ready") said += ` Not yet: ${state.lacking}.`;
-  else if (state.stage === "released" && state.level === "ready") said += " Hold the button or Space to drive.";
-  else if (state.stage === "driving" && state.who !== "the page") said += ` By ${state.who}.`;
-  if (state.limits.length && state.level === "driving") said += ` Limit: ${state.limits.join(", ")}.`;
-  return said;
+  let text = state.said + ".";
+  if (state.slow_ms) text += ` Messages of this page arrive up to ${(state.slow_ms / 1000).toFixed(1)} s late; driving needs less than 0.25 s.`;
+  if (state.stage === "lost") text += ` ${state.lost[0].toUpperCase()}${state.lost.slice(1)}.`;
+  else if (state.stage === "waiting" && state.why) text += ` Waiting: ${state.why}.`;
+  else if (state.stage === "released" && state.lacking && state.level === "ready") text += ` Not yet: ${state.lacking}.`;
+  else if (state.stage === "released" && state.level === "ready") text += " Hold the button or Space to drive.";
+  else if (state.stage === "driving" && state.who !== "the page") text += ` By ${state.who}.`;
+  if (state.limits.length && state.level === "driving") text += ` Limit: ${state.limits.join(", ")}.`;
+  return text;
 }
 
 function draw() {

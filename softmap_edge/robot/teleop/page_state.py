@@ -73,7 +73,7 @@ class PageState:
             self._ages.append(moment.t - moment.sight.t)
 
     def view(self) -> tuple[Document, Floats | None, tuple[int, NDArray[np.uint8]] | None]:
-        """Return the state, the points of the finger and the newest picture."""
+        """Return the state, the points (N, 3) mm of the finger and the newest picture."""
         moment = self._moment
         if moment is None:
             return {"t": 0.0, "level": "off", "said": "Starting"}, None, None

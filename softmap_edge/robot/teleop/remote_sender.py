@@ -45,7 +45,10 @@ def send(
 
     Without a `key`, no key is held here.
     """
-    done, number, begun, line = Sent(), -1, time.monotonic(), ""
+    done = Sent()
+    number = -1
+    begun = time.monotonic()
+    line = ""
     try:
         while not done.ended:
             eyes.wait(number, EVERY)
@@ -55,10 +58,10 @@ def send(
             held = key is not None and key.controls(now).held
             hand = sight.hand if sight is not None and now - sight.t <= SEEN else None
             done.sent += sender.send(Message(hand, held))
-            said = ("sending" if sender.heard else UNHEARD) + ("" if hand else "; no hand is seen")
-            if said != line:
-                line = said
-                say(said)
+            text = ("sending" if sender.heard else UNHEARD) + ("" if hand else "; no hand is seen")
+            if text != line:
+                line = text
+                say(text)
             if eyes.gone:
                 done.ended, done.failed = eyes.gone, True
             elif eyes.over:

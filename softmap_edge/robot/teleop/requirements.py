@@ -47,20 +47,23 @@ def opencv(installed: Iterable[Distribution]) -> Line:
         )
         if any(file.startswith("cv2/") for file in files):
             owners.setdefault(name, distribution)
-    said = " and ".join(f"{name} {found.version}" for name, found in sorted(owners.items()))
+    versions = " and ".join(f"{name} {found.version}" for name, found in sorted(owners.items()))
     if not owners:
         return Line("opencv", WARNING, "not installed", f"run {INSTALL}")
     if len(owners) > 1:
         removed = " ".join(sorted(owners))
         mend = f"run uv pip uninstall {removed}, then {INSTALL}"
-        return Line("opencv", FAULT, f"{said} are installed into one folder cv2/", mend)
+        return Line("opencv", FAULT, f"{versions} are installed into one folder cv2/", mend)
     file = next(iter(owners.values())).locate_file("cv2/__init__.py")
     if not Path(str(file)).is_file():
         mend = f"run uv pip uninstall {next(iter(owners))}, then {INSTALL}"
         return Line(
-            "opencv", FAULT, f"{said} lost its folder cv2/ when another OpenCV was removed", mend
+            "opencv",
+            FAULT,
+            f"{versions} lost its folder cv2/ when another OpenCV was removed",
+            mend,
         )
-    return Line("opencv", OK, said)
+    return Line("opencv", OK, versions)
 
 
 def mediapipe(installed: Iterable[Distribution]) -> Line:
@@ -70,11 +73,11 @@ def mediapipe(installed: Iterable[Distribution]) -> Line:
         return Line("mediapipe", WARNING, "not installed", f"run {INSTALL}, or {UDP}")
     if _numbers(found.version) <= LAST_SILENT:
         return Line("mediapipe", OK, found.version)
-    said = (
+    text = (
         f"{found.version}, which reports its use to its maker when there is a network "
         "(docs/do/teleop.md)"
     )
-    return Line("mediapipe", OK, said)
+    return Line("mediapipe", OK, text)
 
 
 def _numbers(version: str) -> tuple[int, ...]:
