@@ -217,7 +217,7 @@ def test_cables_taken_for_rods_are_named_and_the_rod_is_fitted_again(
         )
         == 0
     )
-    assert "again what they were before" in capsys.readouterr().out
+    assert "again those before the effect was added" in capsys.readouterr().out
     before, less = load_bundle(tmp_path / "rods"), load_bundle(tmp_path / "less")
     np.testing.assert_array_equal(
         less.arrays.prior.shape.numbers, before.arrays.prior.shape.numbers

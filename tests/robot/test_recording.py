@@ -93,7 +93,9 @@ def test_faults_replay_bit_for_bit_and_under_the_same_limits(tmp_path):
         one["low"], one["high"] = HOME - 30, HOME + 30
     assert recording.replay() != []
     goals = [
-        goal for _, _, torque, goal in _core.replay(recording.limits, recording._told()) if torque
+        goal
+        for _, _, torque, goal in _core.replay(recording.limits, recording._guard_inputs())
+        if torque
     ]
     assert goals and np.abs(np.array(goals) - HOME).max() <= 30
 
