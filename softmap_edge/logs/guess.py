@@ -22,6 +22,7 @@ from softmap_edge.files.atomic import Document
 from softmap_edge.files.printable import plain_line
 from softmap_edge.logs.drive_roles import drives_of
 from softmap_edge.logs.fills import unread_ticks
+from softmap_edge.logs.flags import REASON
 from softmap_edge.logs.guess_bare import places_by_value
 from softmap_edge.logs.guess_columns import (
     Sheet,
@@ -227,7 +228,10 @@ def _find_points(sheets: list[Sheet], found: Found) -> None:
         for k, sheet in enumerate(sheets)
     ]
     found.left = [(sheet, one) for triples, sheet in each for one in triples.left]
-    found.unknown += [no_place(_called(sheet), one) for sheet, one in by_reason(found.left)]
+    found.unknown += [
+        no_role(_called(sheet), one) if one.why == REASON else no_place(_called(sheet), one)
+        for sheet, one in by_reason(found.left)
+    ]
     best, sheet = max(each, key=worth)
     triples = _seen_places(sheet, best.places, found)
     if not triples:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
 from softmap_edge.logs.fills import LARGEST, marked_missing
+from softmap_edge.logs.flags import REASON, flags_of
 from softmap_edge.logs.mapping import LENGTH, UNITS
 from softmap_edge.logs.numbered import without_numbers
 from softmap_edge.logs.plausible import ROBOT
@@ -42,7 +43,7 @@ from softmap_edge.logs.sources import (
 )
 from softmap_edge.logs.table import open_log
 from softmap_edge.logs.time_names import TIME_NAME, is_time_name
-from softmap_edge.logs.triples import Triples, find_pairs, find_triples
+from softmap_edge.logs.triples import LeftOut, Triples, find_pairs, find_triples
 from softmap_edge.logs.unit_words import UNIT_WORDS, unit_in_name, unknown_unit
 
 Array = NDArray[np.float64]
@@ -109,6 +110,7 @@ class Sheet:
     stated: dict[str, str] = field(default_factory=dict)  # units of a line that are not known
     parts: int = 1  # files of the log
     more: tuple[str, ...] = ()  # the `file` of further parts that no common pattern names
+    booleans: frozenset[str] = frozenset()  # columns that the file holds as booleans
 
     def column(self, name: str) -> Array:
         """Return the numbers of a column."""
@@ -117,6 +119,10 @@ class Sheet:
     def rows_of(self, names: list[str]) -> Array:
         """Return (rows, len(names))."""
         return np.stack([self.column(name) for name in names], axis=1)
+
+    def flags(self) -> list[str]:
+        """Return the columns of numbers that are labels of what was seen."""
+        return flags_of(self.names, self.numbers, self.booleans) if self.header else []
 
     def drop_fills(self, names: list[str]) -> None:
         """Replace fill values in drive columns by NaN, in place."""
@@ -254,6 +260,9 @@ def _sheet(part: Part, columns: Columns, which: list[int]) -> Sheet:
         head_line=columns.head_line,
         rate_hz=stated_rate(columns.head) if isinstance(columns, TextColumns) else None,
         stated=dict(columns.odd_units) if isinstance(columns, TextColumns) else {},
+        booleans=frozenset(columns.names[k] for k in which if k in columns.booleans)
+        if isinstance(columns, ArrayColumns)
+        else frozenset(),
     )
 
 
@@ -284,10 +293,17 @@ def points_of(sheet: Sheet) -> Triples:
 
     They are in the file's order.
     """
-    keep = [k for k, name in enumerate(sheet.names) if name not in sheet.texts]
+    flags = sheet.flags()
+    found = _points_of(sheet, {*sheet.texts, *flags})
+    return replace(found, left=[*found.left, LeftOut(tuple(flags), REASON)]) if flags else found
+
+
+def _points_of(sheet: Sheet, gone: set[str]) -> Triples:
+    keep = [k for k, name in enumerate(sheet.names) if name not in gone]
     names, bare = [sheet.names[k] for k in keep], [(sheet.bare or sheet.names)[k] for k in keep]
     found = find_triples(names, bare, sheet.rows_of, lambda name: sheet.units.get(name) in LENGTH)
     used = {name for one in [*found.places, *(left.columns for left in found.left)] for name in one}
+    used |= gone
     found = replace(found, places=[*found.places, *_elements(sheet, used)])
     bodies = [one for one in found.places if _turns(sheet, one[0])]
     if len(bodies) > 1:  # markers of a rigid body repeat its pose
