@@ -35,7 +35,7 @@ _FEW, _LARGEST = 10, 100  # different whole numbers of a flag, and the largest o
 
 def named_so(name: str) -> bool:
     """Return whether a name is that of labels of what was seen."""
-    return any(_FLAGS.fullmatch(word) or _GRADES.fullmatch(word) for word in _words(name))
+    return any(_FLAGS.fullmatch(word) or _GRADES.fullmatch(word) for word in words_of(name))
 
 
 def flags_of(names: Sequence[str], numbers: Array, booleans: Collection[str]) -> list[str]:
@@ -52,7 +52,7 @@ def flags_of(names: Sequence[str], numbers: Array, booleans: Collection[str]) ->
             groups.setdefault(_stem(name), []).append(k)
     found = set()
     for members in groups.values():
-        grade = any(map(_GRADES.fullmatch, _words(names[members[0]])))
+        grade = any(map(_GRADES.fullmatch, words_of(names[members[0]])))
         if all(names[k] in booleans for k in members) or (
             all(_like_flags(numbers[:, k], grade) for k in members)
             and np.isfinite(numbers[:, members]).any()
@@ -68,7 +68,8 @@ def are_flags(name: str, texts: Sequence[str]) -> bool:
     return named_so(name) or (bool(words) and all(map(_WORDS.fullmatch, words)))
 
 
-def _words(name: str) -> list[str]:
+def words_of(name: str) -> list[str]:
+    """Return the words of a name in lower case: `TrialNo_2` has the words trial, no."""
     return [word.lower() for word in _NAME.findall(name)]
 
 

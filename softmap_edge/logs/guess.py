@@ -45,6 +45,7 @@ from softmap_edge.logs.never_seen import at_one_number, never_seen
 from softmap_edge.logs.not_seen import not_seen
 from softmap_edge.logs.plausible import at_rest, axes_for, is_base, rest_axis
 from softmap_edge.logs.table import header_hint
+from softmap_edge.logs.text_columns import text_columns
 from softmap_edge.logs.triples import LeftOut, Triples
 from softmap_edge.logs.unit_words import LENGTH_WORDS, unit_in_name
 
@@ -197,14 +198,16 @@ def _left_out(sheet: Sheet, time: tuple[str, ...], found: Found) -> list[str]:
         if np.unique(sheet.column(name)[np.isfinite(sheet.column(name))]).size > 1
     ]
     left = [name for name in varies if name not in used]
+    own = text_columns(_called(sheet), sheet.texts, used, [name for name in varies if name in used])
     if not left:
-        return []
+        return own
     named = ", ".join(map(_range_of(sheet), left[:6])) + (
         f" and {len(left) - 6} more" if len(left) > 6 else ""
     )
     return [
         f"what these columns of {_called(sheet)} are: {named}; they are left out, add them if the "
-        "run needs them"
+        "run needs them",
+        *own,
     ]
 
 

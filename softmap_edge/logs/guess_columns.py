@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
 from softmap_edge.logs.fills import LARGEST, marked_missing
-from softmap_edge.logs.flags import REASON, flags_of
+from softmap_edge.logs.flags import REASON, are_flags, flags_of, named_so, words_of
 from softmap_edge.logs.mapping import LENGTH, UNITS
 from softmap_edge.logs.numbered import without_numbers
 from softmap_edge.logs.plausible import ROBOT
@@ -42,6 +42,7 @@ from softmap_edge.logs.sources import (
     topics_of,
 )
 from softmap_edge.logs.table import open_log
+from softmap_edge.logs.text_columns import mostly_numbers
 from softmap_edge.logs.time_names import TIME_NAME, is_time_name
 from softmap_edge.logs.triples import LeftOut, Triples, find_pairs, find_triples
 from softmap_edge.logs.unit_words import UNIT_WORDS, unit_in_name, unknown_unit
@@ -51,8 +52,10 @@ ROWS = 20_000  # rows examined in each log
 MOST_COLUMNS = 4096  # of each log: names are compared pairwise
 _MOST_LENGTHS = 16  # tables of different lengths in one file of arrays
 _JOINTS = re.compile(r"joint_?states?", re.IGNORECASE)  # a topic, a column or a message type
+# a word of a name
 _LABELS = re.compile(
-    r"block|label|segment|trial|phase|pattern|part|condition|experiment", re.IGNORECASE
+    r"(block|label|segment|trial|phase|pattern|part|condition|experiment)s?"
+    r"(id|nr|no|num|number|index|idx|name|label)?"
 )
 _PLACES = re.compile(
     r"marker|point|(^|[._])tip($|_)|xyz|mocap|optitrack|vicon|place|end_?effector", re.IGNORECASE
@@ -505,13 +508,18 @@ def label_of(sheet: Sheet) -> str | None:
     for name, texts in sheet.texts.items():
         if not sheet.header or "frame" in name.lower():  # the name of a coordinate frame
             continue
+        labelled = any(map(_LABELS.fullmatch, words_of(name)))
+        if are_flags(name, texts) or (mostly_numbers(texts) and not labelled):
+            continue
         if len(set(texts)) <= max(3, len(texts) // 2) and any(texts) and not TIME_NAME.search(name):
             return name
     for name in sheet.names:
         values = sheet.column(name) if name not in sheet.texts else np.zeros(0)
         if (
-            _LABELS.search(name)
+            any(map(_LABELS.fullmatch, words_of(name)))
+            and not named_so(name)
             and len(values)
+            and 2 * len(np.unique(values)) <= max(len(values), 6)
             and np.isfinite(values).all()
             and (values == np.rint(values)).all()
         ):
