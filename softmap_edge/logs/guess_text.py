@@ -50,7 +50,7 @@ def mapping_text(sheets: list[Sheet], found: Found, frame: list[str]) -> str:
             "takes them as well"
         )
     if any(time.calendar for time in found.times.values()):
-        lines.append("zero_time = true   # the log counts since 1970, or since midnight")
+        lines.append("zero_time = true   # the log counts from a date, or from midnight")
     for k, sheet in enumerate(sheets):
         inside = _inside(sheet, found)
         if inside:
