@@ -262,6 +262,13 @@ def _find_points(sheets: list[Sheet], found: Found) -> None:
             f"program: {unit} is written by size alone. Give unit and scale: mm for one '{odd}'"
         )
     found.points = (sheet, triples, unit)
+    found.scales = _scales(sheet, [*flat, *(name for triple in found.base for name in triple)])
+    if found.scales:
+        units = ", ".join(dict.fromkeys(_length_of(sheet, name) or unit for name in found.scales))
+        found.assumed.append(
+            f"markers: {next(iter(found.scales))} and others are in {units}, as the log states; "
+            f"they are converted to the unit of {flat[0]}"
+        )
     found.assumed.append(
         f"markers: {len(triples)} of {_called(sheet)}, in the order of the columns, base first; "
         f"{why}"
@@ -288,6 +295,24 @@ def _find_points(sheets: list[Sheet], found: Found) -> None:
         found.assumed.append(
             f"blocks: '{found.label}' names the part of the protocol; folds are cut by it"
         )
+
+
+def _length_of(sheet: Sheet, name: str) -> str | None:
+    """Return the unit of length that the log states for a column."""
+    word = unit_in_name(name, LENGTH_WORDS)
+    unit = LENGTH_WORDS[word] if word else sheet.units.get(name)
+    return unit if unit in LENGTH else None
+
+
+def _scales(sheet: Sheet, names: list[str]) -> dict[str, float]:
+    """Return the factors of columns that the log states in another unit than the first one."""
+    first = _length_of(sheet, names[0])
+    units = {name: _length_of(sheet, name) for name in names}
+    return {
+        name: LENGTH[unit] / LENGTH[first]
+        for name, unit in units.items()
+        if first is not None and unit is not None and unit != first
+    }
 
 
 def _seen_places(sheet: Sheet, places: list[list[str]], found: Found) -> list[list[str]]:
@@ -474,6 +499,7 @@ def _frame(sheets: list[Sheet], found: Found) -> list[str]:
     names = [name for triple in [*triples, *found.base] for name in triple]
     stated = sheet.units.get(names[0]) or "mm"
     points = _places(sheet, [*triples, *found.base]) * LENGTH[stated if unit == "file" else unit]
+    points *= np.array([[found.scales.get(one[0], 1.0)] for one in [*triples, *found.base]])
     rest = _rest(sheets, found, sheet, points)
     base = rest[len(triples) :].mean(axis=0) if found.base else None
     body = rest[: len(triples)]
