@@ -1,4 +1,4 @@
-"""Find the unit and the epoch of whole counts of time: only a plausible date is accepted.
+"""Find the unit and the epoch of integer counts of time: only a plausible date is accepted.
 
 Unix time counts from 1970, Windows FILETIME from 1601 and .NET ticks from year 1, both in 100 ns.
 Pinned by tests/logs/test_epochs.py.

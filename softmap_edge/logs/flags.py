@@ -2,7 +2,8 @@
 
 Booleans always count as such labels. Other numbers count if the name says so, and if they are few
 small whole numbers, or lie in 0 to 1 where the name is that of a probability. Words count if the
-name says so, or if all of them are words of flags. Such columns are no places, commands or encoders.
+name says so, or if all of them are words of flags. Such columns are no places, commands or
+encoders.
 Pinned by tests/logs/test_flags.py.
 """
 
@@ -26,8 +27,8 @@ _GRADES = re.compile(
 )
 _WORDS = re.compile(
     r"ok|good|bad|(in)?valid|true|false|yes|no|(un)?tracked|tracking|(not )?occluded|occlusion|"
-    r"(un|not )?seen|hidden|(in)?visible|missing|lost|(not )?found|(un)?detected|present|absent|gap|"
-    r"fail(ed)?|error|fault|nan|none|null|off|on|[tfyn]|ja|nein|wahr|falsch|(un)?gültig"
+    r"(un|not )?seen|hidden|(in)?visible|missing|lost|(not )?found|(un)?detected|present|absent|"
+    r"gap|fail(ed)?|error|fault|nan|none|null|off|on|[tfyn]|ja|nein|wahr|falsch|(un)?gültig"
 )
 _NAME = re.compile(r"[A-Z]?[^\W\d_A-Z]+|[A-Z]+")
 _FEW, _LARGEST = 10, 100  # different whole numbers of a flag, and the largest of them

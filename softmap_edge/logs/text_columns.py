@@ -25,7 +25,10 @@ def mostly_numbers(texts: Sequence[str]) -> bool:
 
 
 def text_columns(
-    log: str, texts: Mapping[str, Sequence[str]], used: Collection[str], drives: Collection[str]
+    log: str,
+    texts: Mapping[str, Sequence[str]],
+    used: Collection[str | None],
+    drives: Collection[str],
 ) -> list[str]:
     """Return remarks on the text columns that are not part of the run.
 

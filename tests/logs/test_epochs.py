@@ -1,4 +1,4 @@
-"""Whole counts of time are read from the epoch that gives a plausible date, or are UNKNOWN."""
+"""Integer counts of time are read from the epoch that gives a plausible date, or are UNKNOWN."""
 
 import numpy as np
 import pytest

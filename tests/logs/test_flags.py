@@ -96,7 +96,7 @@ def test_valves_that_are_numbers_stay_commands(tmp_path):
     assert 'command = { columns = ["command[0]", "command[1]"]' in found.text
 
 
-def test_a_group_is_flags_as_a_whole():
+def test_all_columns_of_a_group_decide_together():
     numbers = np.column_stack([SEEN[:, 0], POINTS[:, 0, 0], SEEN[:, 1], SEEN[:, 2]])
     names = ["valid_x", "valid_y", "m1_ok", "m2_ok"]
     assert flags_of(names, numbers, set()) == ["m1_ok", "m2_ok"]
