@@ -225,7 +225,12 @@ def _after_check(path: Path, kind: str, bundle: str | None) -> str:
         return next_command("build", str(path), "--out", "model")
     if kind == "bundle":
         return next_command("compare", "RUN", bundle=str(path))
-    if bundle is None and open_run(path).robot != Finger.builtin().name:
+    run = open_run(path)
+    if not run.channels or len(run.t) < 2:
+        return next_command("show", str(path))  # nothing is learned or compared without commands
+    if bundle is None and run.robot != Finger.builtin().name:
+        if run.markers is None:
+            return next_command("show", str(path))
         return next_command("learn", str(path), "--out", "model")
     return next_command("compare", str(path), bundle=bundle)
 

@@ -22,6 +22,7 @@ from softmap_edge.files.atomic import Document
 from softmap_edge.files.printable import plain_line
 from softmap_edge.logs.drive_roles import drives_of
 from softmap_edge.logs.fills import unread_ticks
+from softmap_edge.logs.flags import REASON
 from softmap_edge.logs.guess_bare import places_by_value
 from softmap_edge.logs.guess_columns import (
     Sheet,
@@ -44,6 +45,7 @@ from softmap_edge.logs.never_seen import at_one_number, never_seen
 from softmap_edge.logs.not_seen import not_seen
 from softmap_edge.logs.plausible import at_rest, axes_for, is_base, rest_axis
 from softmap_edge.logs.table import header_hint
+from softmap_edge.logs.text_columns import text_columns
 from softmap_edge.logs.triples import LeftOut, Triples
 from softmap_edge.logs.unit_words import LENGTH_WORDS, unit_in_name
 
@@ -196,14 +198,16 @@ def _left_out(sheet: Sheet, time: tuple[str, ...], found: Found) -> list[str]:
         if np.unique(sheet.column(name)[np.isfinite(sheet.column(name))]).size > 1
     ]
     left = [name for name in varies if name not in used]
+    own = text_columns(_called(sheet), sheet.texts, used, [name for name in varies if name in used])
     if not left:
-        return []
+        return own
     named = ", ".join(map(_range_of(sheet), left[:6])) + (
         f" and {len(left) - 6} more" if len(left) > 6 else ""
     )
     return [
         f"what these columns of {_called(sheet)} are: {named}; they are left out, add them if the "
-        "run needs them"
+        "run needs them",
+        *own,
     ]
 
 
@@ -227,7 +231,10 @@ def _find_points(sheets: list[Sheet], found: Found) -> None:
         for k, sheet in enumerate(sheets)
     ]
     found.left = [(sheet, one) for triples, sheet in each for one in triples.left]
-    found.unknown += [no_place(_called(sheet), one) for sheet, one in by_reason(found.left)]
+    found.unknown += [
+        no_role(_called(sheet), one) if one.why == REASON else no_place(_called(sheet), one)
+        for sheet, one in by_reason(found.left)
+    ]
     best, sheet = max(each, key=worth)
     triples = _seen_places(sheet, best.places, found)
     if not triples:
@@ -255,6 +262,13 @@ def _find_points(sheets: list[Sheet], found: Found) -> None:
             f"program: {unit} is written by size alone. Give unit and scale: mm for one '{odd}'"
         )
     found.points = (sheet, triples, unit)
+    found.scales = _scales(sheet, [*flat, *(name for triple in found.base for name in triple)])
+    if found.scales:
+        units = ", ".join(dict.fromkeys(_length_of(sheet, name) or unit for name in found.scales))
+        found.assumed.append(
+            f"markers: {next(iter(found.scales))} and others are in {units}, as the log states; "
+            f"they are converted to the unit of {flat[0]}"
+        )
     found.assumed.append(
         f"markers: {len(triples)} of {_called(sheet)}, in the order of the columns, base first; "
         f"{why}"
@@ -281,6 +295,24 @@ def _find_points(sheets: list[Sheet], found: Found) -> None:
         found.assumed.append(
             f"blocks: '{found.label}' names the part of the protocol; folds are cut by it"
         )
+
+
+def _length_of(sheet: Sheet, name: str) -> str | None:
+    """Return the unit of length that the log states for a column."""
+    word = unit_in_name(name, LENGTH_WORDS)
+    unit = LENGTH_WORDS[word] if word else sheet.units.get(name)
+    return unit if unit in LENGTH else None
+
+
+def _scales(sheet: Sheet, names: list[str]) -> dict[str, float]:
+    """Return the factors of columns that the log states in another unit than the first one."""
+    first = _length_of(sheet, names[0])
+    units = {name: _length_of(sheet, name) for name in names}
+    return {
+        name: LENGTH[unit] / LENGTH[first]
+        for name, unit in units.items()
+        if first is not None and unit is not None and unit != first
+    }
 
 
 def _seen_places(sheet: Sheet, places: list[list[str]], found: Found) -> list[list[str]]:
@@ -469,6 +501,7 @@ def _frame(sheets: list[Sheet], found: Found) -> list[str]:
     names = [name for triple in [*triples, *found.base] for name in triple]
     stated = sheet.units.get(names[0]) or "mm"
     points = _places(sheet, [*triples, *found.base]) * LENGTH[stated if unit == "file" else unit]
+    points *= np.array([[found.scales.get(one[0], 1.0)] for one in [*triples, *found.base]])
     rest = _rest(sheets, found, sheet, points)
     base = rest[len(triples) :].mean(axis=0) if found.base else None
     body = rest[: len(triples)]

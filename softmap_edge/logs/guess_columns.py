@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
 from softmap_edge.logs.fills import LARGEST, marked_missing
+from softmap_edge.logs.flags import REASON, are_flags, flags_of, named_so, words_of
 from softmap_edge.logs.mapping import LENGTH, UNITS
 from softmap_edge.logs.numbered import without_numbers
 from softmap_edge.logs.plausible import ROBOT
@@ -41,8 +42,9 @@ from softmap_edge.logs.sources import (
     topics_of,
 )
 from softmap_edge.logs.table import open_log
+from softmap_edge.logs.text_columns import mostly_numbers
 from softmap_edge.logs.time_names import TIME_NAME, is_time_name
-from softmap_edge.logs.triples import Triples, find_pairs, find_triples
+from softmap_edge.logs.triples import LeftOut, Triples, find_pairs, find_triples
 from softmap_edge.logs.unit_words import UNIT_WORDS, unit_in_name, unknown_unit
 
 Array = NDArray[np.float64]
@@ -50,8 +52,10 @@ ROWS = 20_000  # rows examined in each log
 MOST_COLUMNS = 4096  # of each log: names are compared pairwise
 _MOST_LENGTHS = 16  # tables of different lengths in one file of arrays
 _JOINTS = re.compile(r"joint_?states?", re.IGNORECASE)  # a topic, a column or a message type
+# a word of a name
 _LABELS = re.compile(
-    r"block|label|segment|trial|phase|pattern|part|condition|experiment", re.IGNORECASE
+    r"(block|label|segment|trial|phase|pattern|part|condition|experiment)s?"
+    r"(id|nr|no|num|number|index|idx|name|label)?"
 )
 _PLACES = re.compile(
     r"marker|point|(^|[._])tip($|_)|xyz|mocap|optitrack|vicon|place|end_?effector", re.IGNORECASE
@@ -109,6 +113,7 @@ class Sheet:
     stated: dict[str, str] = field(default_factory=dict)  # units of a line that are not known
     parts: int = 1  # files of the log
     more: tuple[str, ...] = ()  # the `file` of further parts that no common pattern names
+    booleans: frozenset[str] = frozenset()  # columns that the file holds as booleans
 
     def column(self, name: str) -> Array:
         """Return the numbers of a column."""
@@ -117,6 +122,10 @@ class Sheet:
     def rows_of(self, names: list[str]) -> Array:
         """Return (rows, len(names))."""
         return np.stack([self.column(name) for name in names], axis=1)
+
+    def flags(self) -> list[str]:
+        """Return the columns of numbers that are labels of what was seen."""
+        return flags_of(self.names, self.numbers, self.booleans) if self.header else []
 
     def drop_fills(self, names: list[str]) -> None:
         """Replace fill values in drive columns by NaN, in place."""
@@ -254,6 +263,9 @@ def _sheet(part: Part, columns: Columns, which: list[int]) -> Sheet:
         head_line=columns.head_line,
         rate_hz=stated_rate(columns.head) if isinstance(columns, TextColumns) else None,
         stated=dict(columns.odd_units) if isinstance(columns, TextColumns) else {},
+        booleans=frozenset(columns.names[k] for k in which if k in columns.booleans)
+        if isinstance(columns, ArrayColumns)
+        else frozenset(),
     )
 
 
@@ -284,10 +296,17 @@ def points_of(sheet: Sheet) -> Triples:
 
     They are in the file's order.
     """
-    keep = [k for k, name in enumerate(sheet.names) if name not in sheet.texts]
+    flags = sheet.flags()
+    found = _points_of(sheet, {*sheet.texts, *flags})
+    return replace(found, left=[*found.left, LeftOut(tuple(flags), REASON)]) if flags else found
+
+
+def _points_of(sheet: Sheet, gone: set[str]) -> Triples:
+    keep = [k for k, name in enumerate(sheet.names) if name not in gone]
     names, bare = [sheet.names[k] for k in keep], [(sheet.bare or sheet.names)[k] for k in keep]
     found = find_triples(names, bare, sheet.rows_of, lambda name: sheet.units.get(name) in LENGTH)
     used = {name for one in [*found.places, *(left.columns for left in found.left)] for name in one}
+    used |= gone
     found = replace(found, places=[*found.places, *_elements(sheet, used)])
     bodies = [one for one in found.places if _turns(sheet, one[0])]
     if len(bodies) > 1:  # markers of a rigid body repeat its pose
@@ -489,13 +508,18 @@ def label_of(sheet: Sheet) -> str | None:
     for name, texts in sheet.texts.items():
         if not sheet.header or "frame" in name.lower():  # the name of a coordinate frame
             continue
+        labelled = any(map(_LABELS.fullmatch, words_of(name)))
+        if are_flags(name, texts) or (mostly_numbers(texts) and not labelled):
+            continue
         if len(set(texts)) <= max(3, len(texts) // 2) and any(texts) and not TIME_NAME.search(name):
             return name
     for name in sheet.names:
         values = sheet.column(name) if name not in sheet.texts else np.zeros(0)
         if (
-            _LABELS.search(name)
+            any(map(_LABELS.fullmatch, words_of(name)))
+            and not named_so(name)
             and len(values)
+            and 2 * len(np.unique(values)) <= max(len(values), 6)
             and np.isfinite(values).all()
             and (values == np.rint(values)).all()
         ):

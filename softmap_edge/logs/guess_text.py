@@ -11,7 +11,7 @@ from softmap_edge.files.printable import one_line
 from softmap_edge.files.toml import quoted
 from softmap_edge.logs.guess_columns import Role, Sheet
 from softmap_edge.logs.guess_time import TimeFound, cell
-from softmap_edge.logs.mapping import ANGLE, LENGTH, SCHEMA
+from softmap_edge.logs.mapping import ANGLE, FILE, LENGTH, SCHEMA
 from softmap_edge.logs.triples import LeftOut
 
 Array = NDArray[np.float64]
@@ -32,6 +32,8 @@ class Found:
     base: list[list[str]] = field(default_factory=list)  # markers on the clamp
     # triples of columns that are not a position
     left: list[tuple[Sheet, LeftOut]] = field(default_factory=list)
+    # factor to the unit of the markers, for columns of places that the log states in another unit
+    scales: dict[str, float] = field(default_factory=dict)
     label: str | None = None
     times: dict[int, TimeFound] = field(default_factory=dict)
 
@@ -50,7 +52,7 @@ def mapping_text(sheets: list[Sheet], found: Found, frame: list[str]) -> str:
             "takes them as well"
         )
     if any(time.calendar for time in found.times.values()):
-        lines.append("zero_time = true   # the log counts since 1970, or since midnight")
+        lines.append("zero_time = true   # the log counts from a date, or from midnight")
     for k, sheet in enumerate(sheets):
         inside = _inside(sheet, found)
         if inside:
@@ -125,9 +127,20 @@ def _inside(sheet: Sheet, found: Found) -> list[str]:
             rows = [
                 f"    [{', '.join(cell(sheet, name) for name in triple)}]," for triple in places
             ]
-            lines += [f'{kind} = {{ unit = "{unit}", columns = [', *rows, "] }"] if rows else []
+            scale = _scale(found, unit, [name for triple in places for name in triple])
+            lines += (
+                [f'{kind} = {{ unit = "{unit}", {scale}columns = [', *rows, "] }"] if rows else []
+            )
         lines += [] if found.label is None else [f"block = {cell(sheet, found.label)}"]
     return lines
+
+
+def _scale(found: Found, unit: str, names: list[str]) -> str:
+    """Return the key `scale` of places in several units; empty for one unit."""
+    factors = [found.scales.get(name, 1.0) for name in names]
+    if unit == FILE or set(factors) <= {1.0}:
+        return ""
+    return f"scale = [{', '.join(f'{factor:g}' for factor in factors)}], "
 
 
 def seconds(sheets: list[Sheet], found: Found, sheet: Sheet) -> Array:

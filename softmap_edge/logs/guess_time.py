@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.files.toml import quoted
 from softmap_edge.logs.clock import counting_on, find_jump, find_steps
+from softmap_edge.logs.epochs import YEARS, readings_of, without_date
 from softmap_edge.logs.guess_columns import Sheet, last_of
 from softmap_edge.logs.guess_falls import counts_of_roll, treatment
 from softmap_edge.logs.readers.cells import is_value
@@ -279,6 +280,12 @@ def _of_column(sheet: Sheet, name: str) -> TimeFound:
             f"'{name}' looks like the digits of dates (yymmddHHMMSS), such as {known[0]:.0f}, and "
             f"is read as {unit}: convert it to seconds in the log"
         )
+    if not doubt and "not known" in why and without_date(known, _usual(known)):
+        doubt = (
+            f"what '{name}' counts: {known[0]:.15g} is no date from {YEARS[0]} to {YEARS[1]} in s, "
+            f"ms, us or ns since 1970, 100 ns since 1601 or since year 1; {unit} is written: put "
+            "the unit of the log there"
+        )
     return TimeFound((name,), unit, f"{called.strip()} {moves}; {why}", line, t, calendar, doubt)
 
 
@@ -307,10 +314,15 @@ def _scale(sheet: Sheet, name: str) -> tuple[float, tuple[str, str]]:
     return (1.0 / (sheet.rate_hz or RATE_HZ) if unit == "rows" else TIME[unit]), (unit, why)
 
 
+def _usual(values: Array) -> float:
+    """Return the usual step of a rising column."""
+    step = np.diff(values)
+    return float(np.median(step[step > 0]))
+
+
 def _unit(sheet: Sheet, name: str) -> tuple[str, str]:
     values = _known(sheet, name)
-    step = np.diff(values)
-    usual = float(np.median(step[step > 0]))
+    usual = _usual(values)
     stated = (
         sheet.units.get(name) or unit_in_name(name, TIME) or time_unit(_bare(last_of(sheet, name)))
     )
@@ -319,16 +331,17 @@ def _unit(sheet: Sheet, name: str) -> tuple[str, str]:
     if (counts := counts_of_roll(values, usual)) is not None:
         return counts
     largest = float(np.abs(values).max())
-    for limit, unit in ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (1e8, "s")):
-        if largest > limit and usual * TIME[unit] < 1000.0:
-            return unit, f"it counts {unit} since 1970"
+    readings = readings_of(values, usual)
+    if len(readings) == 1:
+        return readings[0].unit, readings[0].says
     if any(low < largest < high for low, high in _DAYS) and 2e-4 <= usual * TIME["d"] < 5.0:
         return "d", "it counts days, as a spreadsheet does"
     if (values == np.rint(values)).all() and usual == 1.0:
         return "rows", "it counts rows"
     for unit in ("s", "ms", "us", "ns"):
         if 2e-4 <= usual * TIME[unit] < 5.0:
-            return unit, f"rows {usual:.4g} apart look like {unit}"
+            large = ", and its date is not known" if without_date(values, usual) else ""
+            return unit, f"rows {usual:.4g} apart look like {unit}{large}"
     return "s", "its unit is not known and taken as s"
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from softmap_edge.logs.mapping import LENGTH, UNITS, Quantity
+from softmap_edge.logs.mapping import LENGTH, POINTS, UNITS, Quantity
 from softmap_edge.logs.measured import Column, Measured
 from softmap_edge.logs.time_keys import TIME, Clock
 from softmap_edge.logs.time_names import time_unit
@@ -27,6 +27,7 @@ _SAME = {
     **dict.fromkeys(("%", "pct", "percent", "perc"), "%"),
     **dict.fromkeys(("tick", "count", "counts", "pulses", "steps", "raw", "lsb", "cnt"), "ticks"),
 }
+_FACTORS = 30  # factors that are written out
 _ALONE = 1  # letters of a unit that is only read in brackets, since `cmd_a` may be command a
 
 
@@ -48,11 +49,28 @@ def doubts_of_units(
         label, stated = _stated(table, column)
         if stated is not None and not _alike(stated, unit):
             found.setdefault((stated, unit), []).append(label)
+    said = [_stated(table, column) for column in quantity.columns] if found else []
+    several = {stated for _, stated in said if stated is not None}
+    mixed = name in POINTS and len(several) > 1 and several <= set(LENGTH)
     return [
         f"{name}: {labels[0]}{f' and {len(labels) - 1} more' if len(labels) > 1 else ''}: the file "
-        f"says {stated}, the mapping {unit} and is followed; {_remedy(name, stated)}"
+        f"says {stated}, the mapping {unit} and is followed; "
+        + (_conversion(said) if mixed else _remedy(name, stated))
         for (stated, unit), labels in found.items()
     ]
+
+
+def _conversion(said: Sequence[tuple[str, str | None]]) -> str:
+    """Return what to set if the columns of places state several units of length.
+
+    Args:
+        said: name of each column, and the unit that the log states for it.
+    """
+    unit = next(unit for _, unit in said if unit is not None)
+    factors = [LENGTH[one or unit] / LENGTH[unit] for _, one in said]
+    scale = ", ".join(f"{factor:g}" for factor in factors[:_FACTORS])
+    more = f", … (one factor for each of {len(factors)} columns)" if len(factors) > _FACTORS else ""
+    return f'the columns state several units: set unit = "{unit}" and scale = [{scale}{more}]'
 
 
 def doubts_of_clock(table: LogTable, clock: Clock, columns: Sequence[Column]) -> list[str]:

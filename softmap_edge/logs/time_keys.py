@@ -18,7 +18,11 @@ KEYS = (
     *("repeated", "jumps", "date_order", "assumed"),
 )
 NO_TIME = "none"  # the `time` of a log without time: rows are counted
-TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}  # → s
+# → s; Windows counts in 100ns
+TIME = {
+    **{"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "100ns": 1e-7},
+    **{"min": 60.0, "h": 3600.0, "d": 86400.0},
+}
 
 _WHOLE = 1e-6  # of a count: rounding error of text with few digits
 

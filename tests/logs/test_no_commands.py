@@ -90,3 +90,21 @@ def test_other_words_are_no_commands(tmp_path, name):
         "what was commanded" in line for line in found.unknown
     )
     assert any("without commands" in line for line in found.said)
+
+
+@pytest.mark.parametrize("kind", MARKERS)
+def test_check_proposes_no_model_without_commands(tmp_path, capsys, kind):
+    text = f'schema = "softmap.mapping/1"\n[[log]]\ntime = {{ column = "t" }}\n{MARKERS[kind]}\n'
+    run = import_logs([log(tmp_path)], parse_mapping(text, Path("map.toml"))).run
+    run.save(tmp_path / "run.npz")
+    assert main(["check", str(tmp_path / "run.npz")]) == 0
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last.startswith("next: softmap show ")
+    assert main([*last.removeprefix("next: softmap ").split()]) == 0
+
+
+def test_check_proposes_to_learn_from_commands_and_markers(tmp_path, capsys):
+    markers = np.stack([np.sin(T), np.cos(T), 90 + 0 * T], axis=1)[:, None]
+    Run(t=T, t_seen=T, command=np.sin(T)[:, None], markers=markers).save(tmp_path / "run.npz")
+    main(["check", str(tmp_path / "run.npz")])
+    assert capsys.readouterr().out.splitlines()[-1].startswith("next: softmap learn ")

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from softmap_edge.errors import RunError
 from softmap_edge.logs.guess import guess_mapping
 from softmap_edge.logs.importer import import_logs
 from softmap_edge.logs.mapping import parse_mapping
@@ -215,3 +216,55 @@ def test_a_marker_whose_columns_state_several_units_is_doubted(tmp_path, row):
 def test_a_name_is_held_against_a_mapping_without_a_unit(tmp_path, names):
     done = doubts(log(tmp_path, [*NAMES[:3], *names, "extra"]), ["u0", "u1"], markers="file")
     assert any("the file says" in one and "the mapping mm" in one for one in done.doubts)
+
+
+# --- places in several units ---------------------------------------------------------------
+def mixed(folder, units, form="m{}_{} [{}]"):
+    """A log of one marker for each unit, in that unit."""
+    factor = {"mm": 1.0, "m": 1000.0, "cm": 10.0, "in": 25.4}
+    head = ["t", "u1", "u2"]
+    head += [form.format(k + 1, axis, unit) for k, unit in enumerate(units) for axis in "xyz"]
+    places = [(POINT + [0, 0, 30 * k]) / factor[unit] for k, unit in enumerate(units)]
+    numbers = np.column_stack([T, U, *places])
+    lines = [",".join(head), *(",".join(f"{x:.6f}" for x in row) for row in numbers)]
+    (folder / "mixed.csv").write_text("\n".join(lines) + "\n", "utf-8")
+    return folder / "mixed.csv"
+
+
+@pytest.mark.parametrize("units", [["mm", "mm", "m"], ["m", "mm"], ["cm", "mm", "in"]])
+@pytest.mark.parametrize("form", ["m{}_{} [{}]", "m{}_{}_{}"])
+def test_places_in_several_units_are_converted_by_the_proposal(tmp_path, units, form):
+    path = mixed(tmp_path, units, form)
+    found = guess_mapping([path])
+    assert "scale = [" in found.text
+    assert any("as the log states" in line for line in found.assumed)
+    done = import_logs([path], parse_mapping(found.text, path))
+    assert not any("unit" in doubt for doubt in done.doubts)
+    gaps = np.linalg.norm(np.diff(done.run.markers, axis=1), axis=2)
+    assert gaps == pytest.approx(30.0, abs=0.1)
+
+
+@pytest.mark.parametrize("unit", ["mm", "m", "cm"])
+def test_the_doubt_on_several_units_leads_out(tmp_path, unit):
+    path = mixed(tmp_path, ["mm", "m"])
+    text = """schema = "softmap.mapping/1"
+[[log]]
+time = {{ column = 0, unit = "s" }}
+command = {{ columns = [1, 2], unit = "mm" }}
+markers = {{ {}, columns = [[3, 4, 5], [6, 7, 8]] }}
+"""
+    try:
+        said = list(
+            import_logs([path], parse_mapping(text.format(f'unit = "{unit}"'), path)).doubts
+        )
+    except RunError as fault:
+        said = [str(fault)]
+    advice = 'unit = "mm" and scale = [1, 1, 1, 1000, 1000, 1000]'
+    assert sum(f"set {advice}" in line for line in said) >= 1
+    done = import_logs([path], parse_mapping(text.format(advice.replace(" and", ",")), path))
+    assert not done.doubts
+    assert np.linalg.norm(np.diff(done.run.markers, axis=1), axis=2) == pytest.approx(30, abs=0.1)
+
+
+def test_places_in_one_unit_get_no_scale(tmp_path):
+    assert "scale = [" not in guess_mapping([mixed(tmp_path, ["mm", "mm"])]).text

@@ -40,6 +40,7 @@ class ArrayColumns:
     units: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     where: str = "row"
+    booleans: frozenset[int] = frozenset()  # columns that the file holds as booleans
 
     @property
     def clocks(self) -> dict[int, TimeText]:
@@ -115,6 +116,7 @@ def columns_of_arrays(
     usual = _vector_lengths(arrays, texts or {})
     names: list[str] = []
     columns: list[Array] = []
+    booleans: set[int] = set()
     remarks, absent = list(notes), list(left_out)
     for name, array in arrays.items():
         shaped, turned = _rows_first(array, usual)
@@ -123,6 +125,8 @@ def columns_of_arrays(
             continue
         named = _names(name, shaped, (labels or {}).get(name))
         flat = shaped.reshape(len(shaped), -1)
+        if array.dtype.kind == "b":
+            booleans |= set(range(len(names), len(names) + len(named)))
         names += named
         columns += [as_floats(flat[:, k]) for k in range(flat.shape[1])]
         remarks += [f"{name}: rows run along its axis {turned} ({_shape(array)})"] if turned else []
@@ -137,7 +141,9 @@ def columns_of_arrays(
             f"{path}: holds no columns of numbers{why}; save each signal as an array of numbers"
         )
     remarks += [f"left out: {_listed(absent)}"] if absent else []
-    return ArrayColumns(path, names, columns, held, notes=tuple(remarks))
+    return ArrayColumns(
+        path, names, columns, held, notes=tuple(remarks), booleans=frozenset(booleans)
+    )
 
 
 def _vector_lengths(

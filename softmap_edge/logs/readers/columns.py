@@ -75,6 +75,11 @@ def as_floats(values: object) -> Array:
         return np.asarray(values, np.float64)
 
 
+def as_floats_or_booleans(values: NDArray[np.generic]) -> NDArray[np.generic]:
+    """Return numbers as float64, and booleans unchanged."""
+    return values if values.dtype.kind == "b" else as_floats(values)
+
+
 @dataclass(frozen=True)
 class HeldColumns:
     """Columns of a binary format that the reader already holds in memory."""

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
 from softmap_edge.logs.readers.arrays import ArrayColumns, columns_of_arrays
-from softmap_edge.logs.readers.columns import as_floats
+from softmap_edge.logs.readers.columns import as_floats_or_booleans
 from softmap_edge.logs.readers.in_child import MOST, Answer, read_in_child
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ class _Found:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.arrays: dict[str, NDArray[np.float64]] = {}
+        self.arrays: dict[str, NDArray[np.generic]] = {}
         self.texts: dict[str, list[str]] = {}
         self.left_out: list[str] = []
         self.numbers = self.entries = 0
@@ -149,7 +149,7 @@ def _take(name: str, value: Any, found: _Found, depth: int) -> None:
         _take_struct(name, value, found, depth)
     elif value.dtype.kind in "biuf":
         found.number(value.size)
-        found.arrays[name] = as_floats(value)
+        found.arrays[name] = as_floats_or_booleans(value)
     elif value.dtype.kind == "U":
         found.leave(name, "text")
     elif value.dtype.kind == "O":
@@ -258,10 +258,13 @@ def _take_dataset(h5py: ModuleType, name: str, entry: Dataset, found: _Found, ma
         table = entry[()]
         for key in table.dtype.names:
             if table.dtype[key].kind in "biuf":
-                found.arrays[f"{name}.{key}"] = as_floats(table[key])
+                found.arrays[f"{name}.{key}"] = as_floats_or_booleans(table[key])
     elif entry.dtype.kind in "biuf" and entry.shape is not None:
         found.number(entry.size)
-        found.arrays[name] = as_floats(entry[()]).T if matlab else as_floats(entry[()])
+        values = as_floats_or_booleans(np.asarray(entry[()]))
+        if kind == "logical":
+            values = values.astype(bool)
+        found.arrays[name] = values.T if matlab else values
     elif (
         h5py.check_string_dtype(entry.dtype) is not None
         and entry.ndim == 1

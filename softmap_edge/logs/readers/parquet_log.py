@@ -20,7 +20,7 @@ from softmap_edge.errors import RunError
 from softmap_edge.files.atomic import Document
 from softmap_edge.logs.lerobot import Info, info_near
 from softmap_edge.logs.readers.arrays import MOST_COLUMNS, ArrayColumns, columns_of_arrays
-from softmap_edge.logs.readers.columns import as_floats
+from softmap_edge.logs.readers.columns import as_floats, as_floats_or_booleans
 from softmap_edge.logs.readers.in_child import MOST, Answer, read_in_child
 
 if TYPE_CHECKING:
@@ -202,7 +202,11 @@ class _Gathered:
             if name not in columns:
                 why = "lists of different lengths" if name in self.ragged else "empty"
                 self.left_out.append(f"{name} ({why})")
-        arrays = {name: as_floats(one) for name, one in columns.items() if one.dtype.kind in "biuf"}
+        arrays = {
+            name: as_floats_or_booleans(one)
+            for name, one in columns.items()
+            if one.dtype.kind in "biuf"
+        }
         texts = {
             name: [str(text)[:200] for text in one]
             for name, one in columns.items()
@@ -252,6 +256,8 @@ def _values(pyarrow: ModuleType, column: PyArray) -> NDArray[np.generic] | None:
         per_second = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}[kind.unit]
         ticks = column.cast(pyarrow.int64())
         return as_floats(ticks.to_numpy(zero_copy_only=False)) / per_second
+    if types.is_boolean(kind) and not column.null_count:
+        return np.asarray(column.to_numpy(zero_copy_only=False), bool)
     if types.is_decimal(kind) or types.is_boolean(kind):
         column = (
             column.cast(pyarrow.float64())
