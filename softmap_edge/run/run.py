@@ -104,14 +104,8 @@ def _load(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> Run:
     Raises:
         RunError: the file is damaged, too large, or a field is wrong.
     """
-    archive = read_npz(Path(path), RunError, limit)
-    numbers = sum(array.size for array in archive.values())
     # each number takes eight bytes, several times, whatever its stored type
-    if numbers > MAX_NUMBERS:
-        raise RunError(
-            f"{path}: {numbers:.3g} numbers, at most {MAX_NUMBERS:.3g} are read; cut it into "
-            "shorter runs"
-        )
+    archive = read_npz(Path(path), RunError, limit, MAX_NUMBERS)
     try:
         stored: dict[str, NDArray[np.generic]] = dict(archive)
         known: Document = {name: stored.pop(name) for name in fields.AXES if name in stored}
