@@ -117,6 +117,7 @@ def _load(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> Run:
             if "t_seen" not in known or "command" in known or "ticks" in known:
                 raise RunError("t: missing; a run needs the time of its commands (T,) in s")
             known["t"] = known["t_seen"]
+        fields.check_frames(known)
         return Run(**known, extra=stored)
     except RunError as fault:
         raise RunError(f"{path}: {fault}") from None
@@ -148,7 +149,7 @@ class Run:
         t: (T,) s, strictly increasing.
         t_seen: (K,) s, strictly increasing, on the clock of `t`.
         command, ticks: (T, C) commands, in `command_unit` (mm of shortening) or in servo ticks;
-            exactly one of the two.
+            exactly one of the two. A channel that changes by less than 1e-9 is made constant.
         present, present_ticks: (T, C) encoder positions, in `command_unit` or in ticks.
         current, temperature, load: (T, C) mA, (T,) °C, (T,) g; the last two may be given as one
             number.
@@ -248,6 +249,10 @@ class Run:
             value = self.array(name)
             if value is not None:
                 object.__setattr__(self, name, fields.convert(name, value))
+        for name in fields.DRIVE:
+            rows = self.array(name)
+            if rows is not None:
+                object.__setattr__(self, name, fields.without_jitter(rows))
         for name, rows in (("temperature", self.temperature), ("load", self.load)):
             if rows is not None and rows.ndim == 0 and self.t.ndim == 1:
                 object.__setattr__(self, name, fields.frozen(np.full(len(self.t), float(rows))))
