@@ -98,6 +98,7 @@ def columns_of_arrays(
     labels: Mapping[str, Sequence[str]] | None = None,
     notes: Sequence[str] = (),
     left_out: Sequence[str] = (),
+    units: Mapping[str, str] | None = None,
 ) -> ArrayColumns:
     """Name the columns of arrays.
 
@@ -108,6 +109,7 @@ def columns_of_arrays(
         labels: names for the columns of a two-dimensional array, in place of their numbers.
         notes: sentences on changes made by the reader.
         left_out: arrays without numbers, with the reason.
+        units: of the arrays, by name, where the file states them.
 
     Raises:
         RunError: the file holds no column.
@@ -115,6 +117,7 @@ def columns_of_arrays(
     usual = _vector_lengths(arrays, texts or {})
     names: list[str] = []
     columns: list[Array] = []
+    stated: dict[str, str] = {}
     remarks, absent = list(notes), list(left_out)
     for name, array in arrays.items():
         shaped, turned = _rows_first(array, usual)
@@ -124,6 +127,8 @@ def columns_of_arrays(
         named = _names(name, shaped, (labels or {}).get(name))
         flat = shaped.reshape(len(shaped), -1)
         names += named
+        if units and name in units:
+            stated |= dict.fromkeys(named, units[name])
         columns += [as_floats(flat[:, k]) for k in range(flat.shape[1])]
         remarks += [f"{name}: rows run along its axis {turned} ({_shape(array)})"] if turned else []
     held: dict[int, list[str]] = {}
@@ -137,7 +142,7 @@ def columns_of_arrays(
             f"{path}: holds no columns of numbers{why}; save each signal as an array of numbers"
         )
     remarks += [f"left out: {_listed(absent)}"] if absent else []
-    return ArrayColumns(path, names, columns, held, notes=tuple(remarks))
+    return ArrayColumns(path, names, columns, held, stated, tuple(remarks))
 
 
 def _vector_lengths(
