@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import zipfile
 from collections.abc import Mapping
@@ -25,6 +26,7 @@ _MOST_DIRECTORY = 1 << 20  # bytes of an archive's table of contents; 1000 array
 _END, _END_BYTES, _LONGEST_COMMENT = b"PK\5\6", 22, 1 << 16  # of the record that ends an archive
 # of the preceding record in an archive of more than 4 GiB
 _ZIP64, _ZIP64_BYTES = b"PK\6\7", 20
+_LONGEST_HEADER = 1 << 14  # bytes of an array's header; NumPy reads at most 10 000 characters
 STEP = "_step"  # suffix of the name of an array's steps
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 DOCUMENTS = (".json", ".html", ".toml", ".svg")  # reports and settings of this package, no logs
@@ -55,11 +57,18 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
 
 
 def read_npz(
-    path: Path, error: type[SoftmapError] = SoftmapError, limit: int = MAX_BYTES
+    path: Path,
+    error: type[SoftmapError] = SoftmapError,
+    limit: int = MAX_BYTES,
+    numbers: int | None = None,
 ) -> dict[str, NDArray[np.generic]]:
     """Read every array of `path`.
 
-    Raise `error` with one line if the archive is damaged, too large or holds objects.
+    Args:
+        path: the archive.
+        error: raised with one line if the archive is damaged, too large or holds objects.
+        limit: largest unpacked size, bytes.
+        numbers: largest count of numbers in all arrays, checked before any is unpacked.
     """
     if path.exists() and not path.is_file() and not path.is_dir():
         raise error(f"{path}: no file that can be read at will; give an .npz file")
@@ -76,6 +85,8 @@ def read_npz(
                 )
             if total > limit:
                 raise error(f"{path.name}: {total} bytes when unpacked, at most {limit} are read")
+            if numbers is not None:
+                _check_numbers(archive, path, error, numbers)
             arrays = {}
             for entry in archive.infolist():
                 with archive.open(entry) as stream:
@@ -99,6 +110,29 @@ def read_npz(
         raise error(
             f"{path.name}: not a readable .npz archive ({brief(fault)}); {remedy}"
         ) from None
+
+
+def _check_numbers(
+    archive: zipfile.ZipFile, path: Path, error: type[SoftmapError], most: int
+) -> None:
+    """Reject an archive whose arrays claim more than `most` numbers of eight bytes.
+
+    Only the start of each array is unpacked. An array counts at least an eighth of the bytes that
+    its table of contents states; no more bytes than these are unpacked later.
+    """
+    total = 0
+    for entry in archive.infolist():
+        claimed = 0
+        with archive.open(entry) as stream, contextlib.suppress(Exception):
+            # a damaged start, or a shape without its bytes, is reported when the array is read
+            head = array_header(io.BytesIO(stream.read(_LONGEST_HEADER)))
+            if head.bytes <= entry.file_size:
+                claimed = int(np.prod(head.shape, dtype=object))
+        total += max(claimed, entry.file_size // 8)
+    if total > most:
+        raise error(
+            f"{path}: {total:.3g} numbers, at most {most:.3g} are read; cut it into shorter runs"
+        )
 
 
 def archive_names(path: Path) -> set[str]:

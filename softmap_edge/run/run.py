@@ -104,14 +104,8 @@ def _load(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> Run:
     Raises:
         RunError: the file is damaged, too large, or a field is wrong.
     """
-    archive = read_npz(Path(path), RunError, limit)
-    numbers = sum(array.size for array in archive.values())
     # each number takes eight bytes, several times, whatever its stored type
-    if numbers > MAX_NUMBERS:
-        raise RunError(
-            f"{path}: {numbers:.3g} numbers, at most {MAX_NUMBERS:.3g} are read; cut it into "
-            "shorter runs"
-        )
+    archive = read_npz(Path(path), RunError, limit, MAX_NUMBERS)
     try:
         stored: dict[str, NDArray[np.generic]] = dict(archive)
         known: Document = {name: stored.pop(name) for name in fields.AXES if name in stored}
@@ -123,6 +117,7 @@ def _load(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> Run:
             if "t_seen" not in known or "command" in known or "ticks" in known:
                 raise RunError("t: missing; a run needs the time of its commands (T,) in s")
             known["t"] = known["t_seen"]
+        fields.check_frames(known)
         return Run(**known, extra=stored)
     except RunError as fault:
         raise RunError(f"{path}: {fault}") from None
@@ -154,7 +149,7 @@ class Run:
         t: (T,) s, strictly increasing.
         t_seen: (K,) s, strictly increasing, on the clock of `t`.
         command, ticks: (T, C) commands, in `command_unit` (mm of shortening) or in servo ticks;
-            exactly one of the two.
+            exactly one of the two. A channel that changes by less than 1e-9 is made constant.
         present, present_ticks: (T, C) encoder positions, in `command_unit` or in ticks.
         current, temperature, load: (T, C) mA, (T,) °C, (T,) g; the last two may be given as one
             number.
@@ -254,6 +249,10 @@ class Run:
             value = self.array(name)
             if value is not None:
                 object.__setattr__(self, name, fields.convert(name, value))
+        for name in fields.DRIVE:
+            rows = self.array(name)
+            if rows is not None:
+                object.__setattr__(self, name, fields.without_jitter(rows))
         for name, rows in (("temperature", self.temperature), ("load", self.load)):
             if rows is not None and rows.ndim == 0 and self.t.ndim == 1:
                 object.__setattr__(self, name, fields.frozen(np.full(len(self.t), float(rows))))

@@ -113,6 +113,25 @@ OTHER = {
 }
 
 
+METRES = ",".join("s" if name == "time" else "m" for name in NAMES)
+UNIT_ROWS = {
+    "other units": ([HEAD, UNITS], [HEAD, METRES]),
+    "units only in the second log": ([HEAD], [HEAD, UNITS]),
+    "units in brackets": ([HEAD], [HEAD, METRES.replace("m", "[m]").replace("s", "[s]")]),
+    "some cells are empty": ([HEAD, UNITS], [HEAD, METRES.replace("s,", ",", 1)]),
+    "no names above": ([HEAD, UNITS], [METRES]),
+}
+
+
+@pytest.mark.parametrize("kind", UNIT_ROWS)
+@pytest.mark.parametrize("cut", [25, 70])
+def test_units_of_a_second_log_are_an_error_with_the_line(tmp_path, kind, cut):
+    head, second = UNIT_ROWS[kind]
+    line = len(head) + cut + len(second)
+    with pytest.raises(RunError, match=f"line {line} gives units below rows.*cut the log there"):
+        read(tmp_path, head, ROWS[:cut], second, ROWS[cut:])
+
+
 @pytest.mark.parametrize("kind", SAME)
 @pytest.mark.parametrize("cut", [25, 70])
 def test_the_same_head_in_other_letters_is_left_out(tmp_path, kind, cut):

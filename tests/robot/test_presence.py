@@ -201,6 +201,22 @@ def test_what_is_gone_is_gone():
         assert why_silent(rig.port, rig.baud, 1, [1, 2]).startswith("it answered late")
 
 
+@pytest.mark.parametrize("baud", [57_600, 115_200, 2_000_000])
+def test_a_wrong_option_for_the_rate_is_named_alone(baud, tmp_path, capsys):
+    """The servos answer at the rate of the rig, so neither they nor the rig need to change."""
+    file = str(tmp_path / "rig.toml")
+    with emulated_rig() as (_, rig, _):
+        rig.write(file)
+        at = ["--rig", file, "--baud", str(baud)]
+        why = f"it answers at {BAUD} baud, as the rig says, not at --baud {baud}; run the same"
+        assert main(["servo", "scan", *at]) == 1
+        told = capsys.readouterr().out
+        assert all(f"servo {id}: {why} command without --baud" in told for id in (1, 2))
+        assert "late" not in told
+        assert main(["servo", "read", *at, "--id", "1"]) == 2
+        assert f"no servo of id 1 answers: {why}" in capsys.readouterr().err
+
+
 def test_scan_and_read_look_for_the_servos_of_a_rig(tmp_path, capsys):
     file = str(tmp_path / "rig.toml")
     with emulated_rig() as (bus, rig, _):

@@ -43,7 +43,7 @@ from softmap_edge.robot.servo.known_state import (
     remarks_on_gains,
     rewritten,
 )
-from softmap_edge.robot.servo.presence import why_silent
+from softmap_edge.robot.servo.presence import listened, why_silent
 from softmap_edge.robot.servo.rig import Rig, read_rig
 from softmap_edge.robot.servo.status_words import kept_words
 
@@ -74,14 +74,29 @@ def _of_rig(args: OnBus) -> tuple[Rig | None, OnBus]:
     return rig, replace(args, port=args.port or rig.port, baud=args.baud or rig.baud)
 
 
-def _missing(rig: Rig | None, found: list[setup.ServoState]) -> list[str]:
+def _missing(rig: Rig | None, found: list[setup.ServoState], args: OnBus) -> list[str]:
     """Return a sentence for each servo of the rig that did not answer, with the cause."""
-    listed = [] if rig is None else [servo.id for servo in rig.servos]
+    if rig is None:
+        return []
+    listed = [servo.id for servo in rig.servos]
     left = [id for id in listed if id not in [servo.id for servo in found]]
+    port = args.port or rig.port
+    return [
+        f"servo {id}: {_other_rate(rig, args, id) or why_silent(port, rig.baud, id, listed)}"
+        for id in left
+    ]
+
+
+def _other_rate(rig: Rig | None, args: OnBus, id: int) -> str | None:
+    """Return that `--baud` is wrong, if servo `id` answers at the rate of the rig; else None."""
+    if rig is None or args.baud is None or args.baud == rig.baud:
+        return None
+    port = args.port or rig.port
+    if all(servo.id != id for servo in listened(port, rig.baud).found):
+        return None
     return (
-        []
-        if rig is None
-        else [f"servo {id}: {why_silent(rig.port, rig.baud, id, listed)}" for id in left]
+        f"it answers at {rig.baud} baud, as the rig says, not at --baud {args.baud}; run the same "
+        "command without --baud"
     )
 
 
@@ -96,7 +111,7 @@ def _scan(args: ScanOptions) -> int:
             if not args.json:
                 lines = [f"  ! {with_files(one, args)}" for one in faults]
                 print("".join(f"{line}\n" for line in [*heard.found, *lines]), end="")
-    remarks += (missing := _missing(rig, found))
+    remarks += (missing := _missing(rig, found, args))
     remarks, missing = ([with_files(one, args) for one in some] for some in (remarks, missing))
     if args.json:
         servos = [_servo_document(servo) for servo in found]
@@ -127,7 +142,9 @@ def _servo_document(servo: setup.ServoState) -> Document:
     )
 
 
-def _find(args: ReadOptions | SetupOptions) -> tuple[list[setup.ServoState], list[str], set[int]]:
+def _find(
+    args: ReadOptions | SetupOptions, rig: Rig | None = None
+) -> tuple[list[setup.ServoState], list[str], set[int]]:
     """Return the selected servos, remarks on wrong answers, and the ids that answer pings only."""
     heard = [one for port in _ports(args.port, args.baud) for one in setup.scanned(port, args.baud)]
     every = [servo for one in heard for servo in one.found]
@@ -139,7 +156,9 @@ def _find(args: ReadOptions | SetupOptions) -> tuple[list[setup.ServoState], lis
         raise ServoError(remarks[0])
     which = "no servo" if args.id is None else f"no servo of id {args.id}"
     if args.id is not None and args.port and args.baud:
-        raise ServoError(f"{which} answers: {why_silent(args.port, args.baud, args.id)}")
+        other = None if isinstance(args, SetupOptions) else _other_rate(rig, args, args.id)
+        why = other or why_silent(args.port, args.baud, args.id)
+        raise ServoError(f"{which} answers: {why}")
     scan = (
         f"softmap servo scan --port {shlex.quote(args.port)}" if args.port else "softmap servo scan"
     )
@@ -149,8 +168,8 @@ def _find(args: ReadOptions | SetupOptions) -> tuple[list[setup.ServoState], lis
 def _read(args: ReadOptions) -> int:
     documents = []
     rig, args = _of_rig(args)
-    found, remarks, mute = _find(args)
-    remarks += [] if args.id is not None else _missing(rig, found)
+    found, remarks, mute = _find(args, rig)
+    remarks += [] if args.id is not None else _missing(rig, found, args)
     remarks = [with_files(one, args) for one in remarks]
     asked = {} if rig is None else {one.id: one.asked for one in members(rig)}
     well = not remarks

@@ -99,6 +99,7 @@ def columns_of_arrays(
     labels: Mapping[str, Sequence[str]] | None = None,
     notes: Sequence[str] = (),
     left_out: Sequence[str] = (),
+    units: Mapping[str, str] | None = None,
 ) -> ArrayColumns:
     """Name the columns of arrays.
 
@@ -109,6 +110,7 @@ def columns_of_arrays(
         labels: names for the columns of a two-dimensional array, in place of their numbers.
         notes: sentences on changes made by the reader.
         left_out: arrays without numbers, with the reason.
+        units: of the arrays, by name, where the file states them.
 
     Raises:
         RunError: the file holds no column.
@@ -117,6 +119,7 @@ def columns_of_arrays(
     names: list[str] = []
     columns: list[Array] = []
     booleans: set[int] = set()
+    stated: dict[str, str] = {}
     remarks, absent = list(notes), list(left_out)
     for name, array in arrays.items():
         shaped, turned = _rows_first(array, usual)
@@ -128,6 +131,8 @@ def columns_of_arrays(
         if array.dtype.kind == "b":
             booleans |= set(range(len(names), len(names) + len(named)))
         names += named
+        if units and name in units:
+            stated |= dict.fromkeys(named, units[name])
         columns += [as_floats(flat[:, k]) for k in range(flat.shape[1])]
         remarks += [f"{name}: rows run along its axis {turned} ({_shape(array)})"] if turned else []
     held: dict[int, list[str]] = {}
@@ -142,7 +147,7 @@ def columns_of_arrays(
         )
     remarks += [f"left out: {_listed(absent)}"] if absent else []
     return ArrayColumns(
-        path, names, columns, held, notes=tuple(remarks), booleans=frozenset(booleans)
+        path, names, columns, held, stated, tuple(remarks), booleans=frozenset(booleans)
     )
 
 

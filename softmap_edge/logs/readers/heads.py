@@ -12,7 +12,7 @@ from pathlib import Path
 
 from softmap_edge.errors import RunError
 from softmap_edge.files.printable import listed
-from softmap_edge.logs.readers.cells import is_value, split, trimmed
+from softmap_edge.logs.readers.cells import is_unit, is_value, split, trimmed
 from softmap_edge.logs.readers.header import Table
 
 _MANY = 10  # rows without names: fewer may be settings of a logger
@@ -46,6 +46,48 @@ def names_again(cells: Sequence[str], names: Sequence[str]) -> bool:
     return known >= max(2.0, _SAME * min(len(filled), len(names))) or wide
 
 
+def units_again(cells: Sequence[str], width: int) -> bool:
+    """Return whether a line between the rows is a line of units: no numbers, two units or more.
+
+    Args:
+        cells: of the line.
+        width: columns of the table.
+    """
+    filled = [cell for cell in cells if cell.strip()]
+    units = sum(is_unit(cell.strip()) and cell.strip() != "-" for cell in filled)
+    wide = len(trimmed(list(cells))) > max(1.0, _NEAR * width) and not any(map(is_value, filled))
+    return wide and units >= 2 and units > _SAME * len(filled)
+
+
+def refuse_second_head(
+    path: Path, cells: Sequence[str], names: Sequence[str], line: int, header: bool
+) -> None:
+    """Raise RunError if a line between the rows holds names or units: a second log begins.
+
+    Args:
+        path: the log.
+        cells: of the line.
+        names: of the table.
+        line: number of the line.
+        header: whether the table has names of its own.
+    """
+    if names_again(cells, names):
+        again = f"again, {again_words(cells, names)}" if header else "below rows"
+        raise RunError(
+            f"{path}: line {line} names the columns {again}; cut the log there, and import each "
+            "part"
+        )
+    if units_again(cells, len(names)):
+        raise _second_units(path, line)
+
+
+def _second_units(path: Path, line: int) -> RunError:
+    return RunError(
+        f"{path}: line {line} gives units below rows: a second log begins; cut the log there, "
+        "above its names, and import each part"
+    )
+
+
 def again_words(cells: Sequence[str], names: Sequence[str]) -> str:
     """Return how the names of a second head differ, as a part of a sentence."""
     new, old = plain_names(trimmed(list(cells))), plain_names(names)
@@ -75,6 +117,8 @@ def refuse_rows_above(path: Path, lines: list[str], table: Table, skipped: int) 
     head = next((head for head in heads if _alike(head, cells)), None)
     if len(rows) < (_MANY if head is None else 2):
         return
+    if units_again(cells, table.width):
+        raise _second_units(path, skipped + 1 + top)
     line, count = skipped + 1 + top, f"{len(rows)} row{'s' * (len(rows) != 1)} of numbers"
     what = (
         f"line {line} names the columns again, {again_words(cells, head)}, below {count}"

@@ -2,9 +2,8 @@
 
 v4 to v7 are read with scipy, v7.3 and other HDF5 files with h5py. Arrays of numbers, also within
 structs and groups, are named by their path: `u`, `log.time`, `log.signals[0].values`. Values
-    without
-plain numbers (tables, timetables, timeseries, other objects, functions, cells) are left out and
-listed. Links to other files, external data and dynamically loaded HDF5 filters are not followed.
+without plain numbers (tables, timetables, timeseries, other objects, functions, cells) are left out
+and listed. Links to other files, external data and dynamically loaded HDF5 filters are not followed.
 zlib's checksums are checked, and those of HDF5 where present.
 """
 
@@ -22,6 +21,7 @@ from numpy.typing import NDArray
 from softmap_edge.errors import RunError
 from softmap_edge.logs.readers.arrays import ArrayColumns, columns_of_arrays
 from softmap_edge.logs.readers.columns import as_floats_or_booleans
+from softmap_edge.logs.readers.hdf5_attributes import described
 from softmap_edge.logs.readers.in_child import MOST, Answer, read_in_child
 
 if TYPE_CHECKING:
@@ -62,7 +62,14 @@ def _opened(path: Path, what: str, parse: Callable[[Path], Answer]) -> ArrayColu
     answer = read_in_child(path, what, parse)
     left_out = [str(entry) for entry in answer.document["left_out"]]
     try:
-        return columns_of_arrays(path, answer.arrays, answer.document["texts"], left_out=left_out)
+        return columns_of_arrays(
+            path,
+            answer.arrays,
+            answer.document["texts"],
+            notes=[str(note) for note in answer.document["notes"]],
+            left_out=left_out,
+            units=answer.document["units"],
+        )
     except RunError as fault:
         opaque = any("an object" in entry for entry in left_out)
         raise RunError(f"{fault}; {_EXPORT}" if opaque else str(fault)) from None
@@ -75,6 +82,8 @@ class _Found:
         self.path = path
         self.arrays: dict[str, NDArray[np.generic]] = {}
         self.texts: dict[str, list[str]] = {}
+        self.units: dict[str, str] = {}
+        self.notes: list[str] = []
         self.left_out: list[str] = []
         self.numbers = self.entries = 0
 
@@ -102,6 +111,7 @@ class _Found:
     def answer(self) -> Answer:
         """Return the results as the child's answer."""
         document = {"texts": self.texts, "left_out": self.left_out[:100]}
+        document |= {"units": self.units, "notes": self.notes[:100]}
         return Answer(dict(self.arrays), document)
 
 
@@ -261,10 +271,11 @@ def _take_dataset(h5py: ModuleType, name: str, entry: Dataset, found: _Found, ma
                 found.arrays[f"{name}.{key}"] = as_floats_or_booleans(table[key])
     elif entry.dtype.kind in "biuf" and entry.shape is not None:
         found.number(entry.size)
-        values = as_floats_or_booleans(np.asarray(entry[()]))
-        if kind == "logical":
-            values = values.astype(bool)
-        found.arrays[name] = values.T if matlab else values
+        if matlab:
+            values = as_floats_or_booleans(np.asarray(entry[()]))
+            found.arrays[name] = (values.astype(bool) if kind == "logical" else values).T
+        else:
+            _take_described(name, entry, found)
     elif (
         h5py.check_string_dtype(entry.dtype) is not None
         and entry.ndim == 1
@@ -273,6 +284,18 @@ def _take_dataset(h5py: ModuleType, name: str, entry: Dataset, found: _Found, ma
         found.texts[name] = [_text(one) for one in entry[()]]
     else:
         found.leave(name, "structs or cells" if entry.dtype.kind == "O" else "no numbers")
+
+
+def _take_described(name: str, entry: Dataset, found: _Found) -> None:
+    """Add an array of numbers as its attributes describe it."""
+    what = described(name, entry)
+    found.notes += what.notes
+    if what.fault is not None:
+        found.leave(name, what.fault)
+        return
+    found.arrays[name] = what.values(np.asarray(entry[()]))
+    if what.unit is not None:
+        found.units[name] = what.unit
 
 
 def _text(value: object) -> str:

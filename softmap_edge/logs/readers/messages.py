@@ -17,6 +17,7 @@ from softmap_edge.errors import RunError
 from softmap_edge.logs.readers.columns import Array, HeldColumns
 
 OWN = ("time", "log_time")  # columns of every topic
+_FIRST_S = 60.0  # s: a clock that starts at 0 is below this at the second message
 NUMBERS = 2**27  # numbers of one topic: 1 GiB
 
 
@@ -48,6 +49,7 @@ class MessageRows:
         # names of a message → positions of its numbers
         self.shapes: dict[tuple[str, ...], NDArray[np.int64]] = {}
         self.rows: list[tuple[NDArray[np.int64], Array]] = []
+        self.unset = 0  # messages with a stamp of 0
 
     def add(self, numbers: dict[str, float], logged: float) -> None:
         """Add a message.
@@ -64,6 +66,7 @@ class MessageRows:
             numbers = {
                 f"{name} (field)" if name in OWN else name: value for name, value in numbers.items()
             }
+        self.unset += "header.stamp" in numbers and not stamp
         numbers = {"time": stamp or logged} | numbers | {"log_time": logged}
         names = tuple(numbers)
         if names not in self.shapes:
@@ -84,11 +87,34 @@ class MessageRows:
             table[k, places] = values
         if by_time:
             table = table[np.argsort(table[:, self.index["log_time"]], kind="stable")]
-        if len(np.unique(table[:, 0])) == 1 < len(table):  # stamps that were never set
-            table[:, 0] = table[:, self.index["log_time"]]
+        notes += self._one_clock(table)
         notes += tuple(
             f"the messages have a field '{name}' of their own; it is the column '{name} (field)'"
             for name in OWN
             if f"{name} (field)" in self.index
         )
         return HeldColumns(self.path, list(self.index), table, where="message", notes=notes)
+
+    def _one_clock(self, table: Array) -> tuple[str, ...]:
+        """Make `time` the log time, unless all messages have a stamp of their own; a note on it.
+
+        Stamps and log times are two clocks, which differ by the delay of the messages.
+        """
+        same = len(np.unique(table[:, 0])) == 1 < len(table)  # stamps that were never set
+        if not self.unset and not same:
+            return ()
+        if self.unset == 1 and self._starts_at_zero(table):
+            table[0, 0] = 0.0
+            return ()
+        table[:, 0] = table[:, self.index["log_time"]]
+        if not self.unset:
+            return (f"topic {self.topic[:60]}: the stamp never changes; time is the log time",)
+        return (
+            f"topic {self.topic[:60]}: {self.unset} of {len(table)} messages have no stamp "
+            "(header.stamp is 0); time is the log time in all of them",
+        )
+
+    def _starts_at_zero(self, table: Array) -> bool:
+        """Return whether the first stamp is 0 because the clock of a simulation starts there."""
+        stamps = table[:, self.index["header.stamp"]]
+        return bool(stamps[0] == 0 and len(stamps) > 1 and 0 < np.nanmin(stamps[1:]) < _FIRST_S)

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from softmap_edge.errors import RunError, brief
+from softmap_edge.files.printable import listed as listed_words
 from softmap_edge.logs.readers.cdr import CdrError, Types, parse_definition, read_message
 from softmap_edge.logs.readers.columns import HeldColumns
 from softmap_edge.logs.readers.mcap_file import Topic
@@ -72,7 +73,9 @@ def open_db3(path: Path, topic: str | None, most: int | None = None) -> HeldColu
         RunError: the file is damaged, or the topic is absent or cannot be decoded.
     """
     with _opened(path) as (database, notes):
-        channel = _chosen(path, _channels(path, database), topic)
+        channels = _channels(path, database)
+        notes += _unlisted(database, channels)
+        channel = _chosen(path, channels, topic)
         types = _types_or_fault(path, channel)
         rows = MessageRows(path, channel.name)
         for k, (logged, data) in enumerate(_messages(path, database, channel, most)):
@@ -242,6 +245,21 @@ def _channels(path: Path, database: sqlite3.Connection) -> list[_Channel]:
         ids = (*(had.ids if had else ()), number)
         found[name] = _Channel(ids, name, kind, encoding, definitions.get(kind), count)
     return list(found.values())
+
+
+def _unlisted(database: sqlite3.Connection, channels: list[_Channel]) -> list[str]:
+    """Return a sentence on messages whose topic is not in the list of topics."""
+    listed = {number for one in channels for number in one.ids}
+    counts = database.execute(
+        "SELECT topic_id, count(*) FROM messages GROUP BY topic_id LIMIT 4096"
+    )
+    lost = {f"{number}"[:20]: int(count) for number, count in counts if number not in listed}
+    if not lost:
+        return []
+    return [
+        f"{sum(lost.values())} messages of topic_id {listed_words(lost, 3)} are left out: the "
+        "file does not list their topic, so it is damaged or its recorder was interrupted"
+    ]
 
 
 def _definitions(database: sqlite3.Connection) -> dict[str, str]:

@@ -28,7 +28,7 @@ from softmap_edge.logs.readers.columns import Array, Cells
 from softmap_edge.logs.readers.encoding import encoding_of, is_cut
 from softmap_edge.logs.readers.ending import RECENT, cut_within, lines_below
 from softmap_edge.logs.readers.header import Table, find_table, is_remark, table_lines, widths_of
-from softmap_edge.logs.readers.heads import again_words, names_again, refuse_rows_above
+from softmap_edge.logs.readers.heads import names_again, refuse_rows_above, refuse_second_head
 from softmap_edge.logs.readers.lines import blocks, first_lines, held_back
 from softmap_edge.logs.readers.spellings import (
     hex_columns,
@@ -340,12 +340,7 @@ class TextColumns:
             )
         cells = np.empty((len(rows), len(places)))
         for k, row in enumerate(rows):
-            if names_again(row, self.names):
-                again = f"again, {again_words(row, self.names)}" if self.header else "below rows"
-                raise RunError(
-                    f"{self.path}: line {numbers[k]} names the columns {again}; cut the log "
-                    "there, and import each part"
-                )
+            refuse_second_head(self.path, row, self.names, int(numbers[k]), self.header)
             self._complete(row, int(numbers[k]))
             for j, column in enumerate(places):
                 cells[k, j] = self._number(row[column].strip(), int(numbers[k]), column)
