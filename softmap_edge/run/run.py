@@ -35,6 +35,7 @@ from softmap_edge.run.fields import (
 )
 from softmap_edge.run.output import Output, output_of
 from softmap_edge.run.plane import PLANE
+from softmap_edge.run.still import without_jitter
 
 Array = NDArray[np.float64]
 Source = Literal["goal", "present"]
@@ -252,7 +253,7 @@ class Run:
         for name in fields.DRIVE:
             rows = self.array(name)
             if rows is not None:
-                object.__setattr__(self, name, fields.without_jitter(rows))
+                object.__setattr__(self, name, without_jitter(rows))
         for name, rows in (("temperature", self.temperature), ("load", self.load)):
             if rows is not None and rows.ndim == 0 and self.t.ndim == 1:
                 object.__setattr__(self, name, fields.frozen(np.full(len(self.t), float(rows))))
