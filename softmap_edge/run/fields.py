@@ -118,8 +118,6 @@ RANGES: dict[FieldName, tuple[float, float, str, str]] = {
     "sigma": (1e-9, 1e3, "mm", "give the standard deviation of a coordinate in mm"),
 }
 _COMMAND_LIMIT = 1000.0  # mm: more tendon than any finger has; ticks and micrometres exceed it
-# smallest change of a command, in any unit: a nanometre in metres, far below any servo's step
-_NO_CHANGE = 1e-9
 _LONGEST = 100  # characters of a name, as in a bundle
 _SMALLEST = 1.0  # mm: a robot whose points all lie within this is a robot in metres
 # no robot is that much longer or shorter than at rest; other units are ten times off
@@ -167,24 +165,6 @@ def convert(name: FieldName, value: object) -> NDArray[np.generic]:
             raise RunError(f"{name}: values beyond 2^53; give ticks counted from home")
         return frozen(array.astype(np.int64))
     return frozen(np.array(array, np.float64, order="C"))
-
-
-def without_jitter(command: Array) -> Array:
-    """Return commands (T, C) in which every channel that hardly changes is constant.
-
-    A change below `_NO_CHANGE` is no motion in any unit; dividing by it overflows.
-    """
-    if command.ndim != 2 or not command.size:
-        return command
-    with np.errstate(over="ignore", invalid="ignore"):
-        still = np.flatnonzero(np.ptp(command, axis=0) < _NO_CHANGE)
-    level = np.where(np.abs(command[0]) < _NO_CHANGE, 0.0, command[0])
-    if (command[:, still] == level[still]).all():
-        return command
-    constant = command.copy()
-    constant[:, still] = level[still]
-    constant.setflags(write=False)
-    return constant
 
 
 def kept(name: str, value: object, complete: bool) -> NDArray[np.generic]:

@@ -49,6 +49,8 @@ SPOOLS_MM = (1e-3, 1e4)  # radii that a mapping may declare
 NOT_SEEN = "not_seen"
 # fields of a run that was cut or joined
 PIECES = ("piece_origin", "piece_row", "piece_frame", "piece_shift_s")
+# smallest change of a command, in any unit: a nanometre in metres, far below any servo's step
+_NO_CHANGE = 1e-9
 NO_COMMANDS = (  # reasons why a run of markers alone cannot be used
     "a run without commands can be shown, cut and joined, but no model can be learned from it, "
     "compared with it or diagnosed; name the columns of the commands (or encoders) as `command` "
@@ -125,6 +127,24 @@ def _load(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> Run:
         raise RunError(
             f"{path}: larger than this machine's free memory; cut the recording into shorter runs"
         ) from None
+
+
+def _without_jitter(command: Array) -> Array:
+    """Return commands (T, C) in which every channel that hardly changes is constant.
+
+    A change below `_NO_CHANGE` is no motion in any unit; dividing by it overflows.
+    """
+    if command.ndim != 2 or not command.size:
+        return command
+    with np.errstate(over="ignore", invalid="ignore"):
+        still = np.flatnonzero(np.ptp(command, axis=0) < _NO_CHANGE)
+    level = np.where(np.abs(command[0]) < _NO_CHANGE, 0.0, command[0])
+    if (command[:, still] == level[still]).all():
+        return command
+    constant = command.copy()
+    constant[:, still] = level[still]
+    constant.setflags(write=False)
+    return constant
 
 
 class _Load:
@@ -252,7 +272,7 @@ class Run:
         for name in fields.DRIVE:
             rows = self.array(name)
             if rows is not None:
-                object.__setattr__(self, name, fields.without_jitter(rows))
+                object.__setattr__(self, name, _without_jitter(rows))
         for name, rows in (("temperature", self.temperature), ("load", self.load)):
             if rows is not None and rows.ndim == 0 and self.t.ndim == 1:
                 object.__setattr__(self, name, fields.frozen(np.full(len(self.t), float(rows))))
