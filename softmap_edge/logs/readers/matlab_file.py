@@ -293,7 +293,8 @@ def _take_described(name: str, entry: Dataset, found: _Found) -> None:
     if what.fault is not None:
         found.leave(name, what.fault)
         return
-    found.arrays[name] = what.values(np.asarray(entry[()]))
+    stored = np.asarray(entry[()])
+    found.arrays[name] = stored if stored.dtype.kind == "b" else what.values(stored)
     if what.unit is not None:
         found.units[name] = what.unit
 
