@@ -60,7 +60,7 @@ def shuffled(axis):
 
 
 REFUSED = {
-    "no frame": (lambda f: some(f, slice(0, 0)), "no seen frames"),
+    "no frame": (lambda f: some(f, slice(0, 0)), "is empty, so nothing was seen"),
     "one frame": (lambda f: some(f, slice(0, 1)), "1 seen frames are too few"),
     "five frames": (lambda f: some(f, slice(0, 5)), "5 seen frames are too few"),
     "one picture": (
