@@ -241,7 +241,9 @@ def followed(message, bus, more, capsys):
     and message.
     """
     message = message.partition(" fault ")[2] or message  # the doctor names what may be better, too
-    command, times = NAMED.search(message).groups()
+    found = NAMED.search(message)
+    assert found, f"names no command: {message}"
+    command, times = found.groups()
     words = shlex.split(command)
     assert "FILE" not in words, f"the file is known: {message}"
     known = next(
