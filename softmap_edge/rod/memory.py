@@ -12,14 +12,14 @@ Level 2. The members of the families that fall are fitted with the static map so
 fits as well as the best of all, representatives included. Of the laws that reach, the one with the
 fewest numbers is chosen; the others are its alternatives. Numbers for each channel count as one. A
 law is open if its family, or a second law of it, explains a good part of the remaining loss, or if
-all laws leave a good part of the first loss: a bad map and a wrong law look alike. A law that does not reach, or
-that is at a bound, is only reported if it is weak, if it explains only part of its family's fall,
-or if a family without laws is near: it would only replace another cause. The same holds for a law
-whose numbers from some blocks do not lower the loss of the others, and for one that fits nearly as
-well if it reads the run backward: a memory depends on the past alone, and such a law only bends the
-static map. The law joins the chain, its effective commands replace the commands, and the families
-are tried again. A law that is not identified may stand in for two, so two laws of different families
-are fitted together as well, and join if they explain far more.
+all laws leave a good part of the first loss: a bad map and a wrong law look alike. A law that does
+not reach, or that is at a bound, is only reported if it is weak, if it explains only part of its
+family's fall, or if a family without laws is near: it would only replace another cause. The same
+holds for a law whose numbers from some blocks do not lower the loss of the others, and for one that
+fits nearly as well if it reads the run backward: a memory depends on the past alone, and such a law
+only bends the static map. The law joins the chain, its effective commands replace the commands, and
+the families are tried again. A law that is not identified may stand in for two, so two laws of
+different families are fitted together as well, and join if they explain far more.
 
 Several runs: each run whose commands the others cover is also held out as a block. This separates
 families with the same loop at one amplitude and speed. Limits: laws act in series with the map; a
@@ -67,8 +67,8 @@ EACH = 0.05  # of the loss: least gain from a number per channel over a shared o
 EACH_TRIED = 3  # best laws with shared numbers that are tried with a number per channel
 MOST_LAWS = 3
 SHORT = 2  # nearest effects that are named if none reaches
-# of a law's fall: least part that is lost if it reads the run backward. True laws lose 0.44 or more,
-# laws that stand in for the form of a static map 0.15.
+# of a law's fall: least part that is lost if it reads the run backward. True laws lose 0.44 or
+# more, laws that stand in for the form of a static map 0.15.
 PAST = 0.3
 
 
@@ -256,9 +256,10 @@ class _Search:
             self._only_seen(near, now, elsewhere)
             return []
         if why := self._unconfirmed(step, found, now):
+            before, after = self.evidence.rms(now), self.evidence.rms(step.fitted.losses)
             self.notes.append(
-                f"{' and '.join(step.names)} lowers the held-out error from {self.evidence.rms(now):.2f} "
-                f"to {self.evidence.rms(step.fitted.losses):.2f} mm RMS, but {why}; this is no proof of a "
+                f"{' and '.join(step.names)} lowers the held-out error from {before:.2f} "
+                f"to {after:.2f} mm RMS, but {why}; this is no proof of a "
                 "memory, so the law is not in the model"
             )
             return []
@@ -515,26 +516,22 @@ class _Search:
 
     def _only_seen(self, near: Sequence[Represented], now: Floats, forbidden: bool) -> None:
         """Report families that the run shows, but whose law does not join the chain."""
-        names, after = (
-            " or ".join(one.family.name for one in near),
-            self.evidence.rms(near[0].losses),
-        )
+        names = " or ".join(one.family.name for one in near)
+        before, after = self.evidence.rms(now), self.evidence.rms(near[0].losses)
         drifts = any(one.family.name == DRIFT for one in near)  # possibly of the camera
         if not forbidden and not drifts and self.evidence.falls(now, near[0].losses, SURE):
             first, *others = (
                 Alternative("", one.family.name, self.evidence.rms(one.losses)) for one in near
             )
             self.unknown = (
-                LearnedIn(
-                    "", first.family, "unknown", self.evidence.rms(now), after, (), tuple(others)
-                ),
+                LearnedIn("", first.family, "unknown", before, after, (), tuple(others)),
             )
             return
         why = (
             "is left to the diagnosis" if forbidden else "has no law in the library that reaches it"
         )
         self.notes.append(
-            f"the run shows {names} besides the static map (held-out error {self.evidence.rms(now):.2f} "
+            f"the run shows {names} besides the static map (held-out error {before:.2f} "
             f"to {after:.2f} mm RMS), which {why}: it is not in the model"
         )
 
