@@ -118,7 +118,7 @@ class _Search:
     ) -> None:
         self.seen, self.static, self.members, self.richer = seen, static, members, tuple(richer)
         self.fit, self.families = LawFit(seen.drive, static, seed, seen.unit), families()
-        self.evidence = Evidence.of(seen, static)
+        self.evidence = Evidence.of(seen, static)  # its noise hardly depends on the map
         self.notes: list[str] = []
         self.unknown: tuple[LearnedIn, ...] = ()
 
@@ -126,17 +126,17 @@ class _Search:
         found: list[FoundLaw] = []
         acting = self.seen.drive.commanded
         while len(found) < MOST_LAWS:
-            represented = self._represented(acting, found)
-            if self._static_suffices(represented, acting, found):
+            now, represented = self.static.losses(acting), self._represented(acting, found)
+            if self._static_suffices(represented, now, found):
                 # the next families are compared with this map
                 self._take(replace(self.static, splined=True))
                 continue
-            falling = self._falling(represented, acting, found)
-            laws = self._laws(falling, acting, found)
+            falling = self._falling(represented, now, found)
+            laws = self._laws(falling, now, found)
             if self._outgrown(falling, laws, acting, found):
                 found, acting = [], self.seen.drive.commanded
                 continue
-            steps = self._steps(falling, laws, acting, found) if falling else []
+            steps = self._steps(falling, laws, now, found) if falling else []
             if not steps:
                 break
             found += steps
@@ -163,10 +163,10 @@ class _Search:
         return sorted(every, key=lambda one: float(one.losses.sum()))
 
     def _static_suffices(
-        self, represented: Sequence[Represented], acting: Floats, found: Sequence[FoundLaw]
+        self, represented: Sequence[Represented], now: Floats, found: Sequence[FoundLaw]
     ) -> bool:
         """Whether a map of another form fits as well as any memory."""
-        now, best = self.static.losses(acting), represented[0].losses
+        best = represented[0].losses
         if not self.evidence.falls(now, best, LATER if found else FIRST):
             return False
         return any(
@@ -174,10 +174,10 @@ class _Search:
         )
 
     def _falling(
-        self, represented: Sequence[Represented], acting: Floats, found: Sequence[FoundLaw]
+        self, represented: Sequence[Represented], now: Floats, found: Sequence[FoundLaw]
     ) -> list[Represented]:
         """Return the families that lower the loss; none if the best of all does not."""
-        now, share = self.static.losses(acting), LATER if found else FIRST
+        share = LATER if found else FIRST
         if not self.evidence.falls(now, represented[0].losses, share):
             return []
         return [
@@ -187,10 +187,10 @@ class _Search:
         ]
 
     def _laws(
-        self, falling: Sequence[Represented], acting: Floats, found: Sequence[FoundLaw]
+        self, falling: Sequence[Represented], now: Floats, found: Sequence[FoundLaw]
     ) -> list[Candidate]:
         """Return the laws of these families that lower the loss as well, lowest first."""
-        now, share = self.static.losses(acting), LATER if found else FIRST
+        share = LATER if found else FIRST
         good = [
             one
             for one in self._candidates(falling, found)
@@ -210,11 +210,11 @@ class _Search:
         As long as the memory is missing, its error hides that of the form of the map. A wrong law
         then fits best if it bends the map as well.
         """
-        beside: list[tuple[Floats, Floats, Floats | None]] = [
+        trials: list[tuple[Floats, Floats, Floats | None]] = [
             (acting, one.losses, self._signals_alongside(one.family, found)) for one in falling[:1]
         ]
-        beside += [(one.law.acting, one.losses, None) for one in laws[:1]]
-        for commands, losses, signals in beside:
+        trials += [(one.law.acting, one.losses, None) for one in laws[:1]]
+        for commands, losses, signals in trials:
             taken: StaticMap | None = None
             for form in self.richer:
                 lower = form.losses(commands, signals)
@@ -235,11 +235,11 @@ class _Search:
         self,
         falling: Sequence[Represented],
         good: Sequence[Candidate],
-        acting: Floats,
+        now: Floats,
         found: Sequence[FoundLaw],
     ) -> list[FoundLaw]:
         """Return the law to add to the chain, or two that only together explain the loss."""
-        now, best = self.static.losses(acting), falling[0]
+        best = falling[0]
         near = [one for one in falling if self.evidence.near(one.losses, best.losses, now)]
         if not good:
             self._only_seen(near, now, False)

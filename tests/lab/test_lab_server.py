@@ -48,13 +48,13 @@ def ask(connection, do, number=1, **more):
     """Return the answer to a request."""
     connection.send(json.dumps({"id": number, "do": do, **more}))
     while True:
-        told = connection.recv(30.0)
-        if isinstance(told, bytes):
-            (length,) = struct.unpack("<I", told[:4])
-            told = told[4 : 4 + length]
-        told = json.loads(told)
-        if told.get("re") == number:
-            return told
+        answer = connection.recv(30.0)
+        if isinstance(answer, bytes):
+            (length,) = struct.unpack("<I", answer[:4])
+            answer = answer[4 : 4 + length]
+        answer = json.loads(answer)
+        if answer.get("re") == number:
+            return answer
 
 
 def test_a_client_loads_tries_and_accepts(tmp_path):

@@ -159,7 +159,7 @@ def test_a_line_that_was_cut_is_dropped_and_the_next_one_is_complete(tmp_path):
     ["[]", "nonsense", "[" * 2000, "{}", '{"do": "redone"}', '{"do": "undone"}', "\x00",
      json.dumps({"do": "diagnosed", "file": "../../etc/passwd", "inputs": HASH}),
      json.dumps({"do": "diagnosed", "file": "diagnosis-1.json", "inputs": "x"}),
-     json.dumps(accepted() | {"diagnosis": "/tmp/diagnosis-1.json"}),
+     json.dumps(accepted() | {"diagnosis": "/elsewhere/diagnosis-1.json"}),
      json.dumps(accepted() | {"effects": ["a", "a"]}), json.dumps(accepted() | {"effects": "abc"}),
      json.dumps(accepted() | {"params": {"a": True}}), json.dumps(accepted() | {"params": {"a": 1e300}}),
      '{"do": "accepted", "effects": ["a"], "params": {"a": NaN}}'],

@@ -210,9 +210,9 @@ def test_a_wrong_option_for_the_rate_is_named_alone(baud, tmp_path, capsys):
         at = ["--rig", file, "--baud", str(baud)]
         why = f"it answers at {BAUD} baud, as the rig says, not at --baud {baud}; run the same"
         assert main(["servo", "scan", *at]) == 1
-        told = capsys.readouterr().out
-        assert all(f"servo {id}: {why} command without --baud" in told for id in (1, 2))
-        assert "late" not in told
+        printed = capsys.readouterr().out
+        assert all(f"servo {id}: {why} command without --baud" in printed for id in (1, 2))
+        assert "late" not in printed
         assert main(["servo", "read", *at, "--id", "1"]) == 2
         assert f"no servo of id 1 answers: {why}" in capsys.readouterr().err
 

@@ -19,8 +19,8 @@ from recorded_arms import (
     play,
     recorded,
     segmented,
-    slackened,
     wander,
+    with_slack_tendons,
 )
 
 from softmap_edge import Run, learn_model, load_bundle, save_bundle
@@ -117,7 +117,7 @@ def test_the_form_of_the_map_is_chosen_with_the_memory_in_place(law, seed, secon
 
     With a map chosen before, other laws fitted as well, or a second one joined.
     """
-    first = learn(slackened(law, seed, seconds)).learned_in[0]
+    first = learn(with_slack_tendons(law, seed, seconds)).learned_in[0]
     assert (first.name, first.law) == (name, "identified")
 
 
@@ -129,7 +129,7 @@ def test_two_laws_are_found_together_where_one_stands_in_for_both(seed):
         rough = growing_play(u, 0.12, 2.0)
         return np.concatenate([np.repeat(rough[:1], 6, axis=0), rough[:-6]])
 
-    found = learn(slackened(late_and_rough, seed, 80.0, slack=1.5)).learned_in
+    found = learn(with_slack_tendons(late_and_rough, seed, 80.0, slack=1.5)).learned_in
     assert {one.name for one in found} == {"friction", "latency"}
     late = next(number for one in found for number in one.params if "delay" in number.label)
     assert late.value == pytest.approx(0.12, rel=0.2)
@@ -137,7 +137,7 @@ def test_two_laws_are_found_together_where_one_stands_in_for_both(seed):
 
 @pytest.mark.parametrize("seed", range(2))
 def test_a_play_that_grows_with_the_command_is_no_identified_backlash(seed):
-    found = learn(slackened(lambda u: growing_play(u, 0.2, 2.0), seed, 80.0, slack=3.5))
+    found = learn(with_slack_tendons(lambda u: growing_play(u, 0.2, 2.0), seed, 80.0, slack=3.5))
     assert {one.family for one in found.learned_in} == {"memory"}
     assert all(one.law == "open" for one in found.learned_in)
 

@@ -37,9 +37,9 @@ def test_empty_arrays_are_one_error(command, case, tmp_path, capsys):
     write_npz(path, {"t": T, "command": U} | EMPTY[case])
     out = ["--out", str(tmp_path / "out")] if command == "learn" else []
     assert main([command, str(path), *out]) != 0
-    told = "".join(capsys.readouterr())
+    printed = "".join(capsys.readouterr())
     name = [*EMPTY[case]][1]
-    assert f"{name}: shape" in told and "is empty" in told and len(told.splitlines()) == 1
+    assert f"{name}: shape" in printed and "is empty" in printed and len(printed.splitlines()) == 1
 
 
 def test_a_run_made_in_python_needs_a_point():
@@ -68,8 +68,8 @@ def test_commands_that_hardly_change_are_checked(case, tmp_path, capsys):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         main(["check", str(path)])
-    told = "".join(capsys.readouterr())
-    assert ("the commands never change" in told) == (case != "one channel")
+    printed = "".join(capsys.readouterr())
+    assert ("the commands never change" in printed) == (case != "one channel")
 
 
 @pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])

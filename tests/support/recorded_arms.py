@@ -104,7 +104,7 @@ def growing_play(u, share, start):
     return out
 
 
-def slackened(law, seed, seconds, slack=2.5, noise=0.15):
+def with_slack_tendons(law, seed, seconds, slack=2.5, noise=0.15):
     """A run of an arm whose tendons are slack: within ±`slack` mm it hardly moves.
 
     The commands walk between random targets; `law` (T, C) → (T, C) acts on them.
