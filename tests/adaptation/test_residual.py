@@ -259,6 +259,7 @@ def test_a_weight_of_another_finger_is_never_nothing(hidden):
     )
 
 
+@pytest.mark.long
 def test_memory_is_found_through_a_residual():
     run = finger_run(["hysteresis"], {"hysteresis.strength": 0.25, "hysteresis.reach": 5.0})
     model, report = learn_residual(MODEL, run)
@@ -294,6 +295,7 @@ def test_a_reference_run_stands_for_the_residual_too(adapted, loaded):
     assert named(found) == {"payload"} and "was taken out" not in found.sentence
 
 
+@pytest.mark.long
 def test_the_page_as_written(tmp_path, capsys, monkeypatch):
     of_another_finger("payload").save(tmp_path / "hanging.npz")
     run_commands(PAGE, tmp_path)

@@ -133,6 +133,7 @@ def test_a_marker_glued_at_another_place_is_left_aside():
 filmed = pytest.fixture(scope="module")(film)
 
 
+@pytest.mark.long
 def test_an_aligned_run_is_as_good_as_one_recorded_in_the_base_frame(filmed, tmp_path, capsys):
     straight, camera = filmed
     model = builtin_model()

@@ -101,6 +101,7 @@ def keeps_its_promises(model, shapes):
         assert paper > 5.0 * np.median(off), (level, paper)
 
 
+@pytest.mark.long
 def test_a_finger_of_tetrahedra_is_found_on_the_model_of_bricks():
     keeps_its_promises(MODEL, other_shapes(Finger.builtin(), 8))
 

@@ -42,6 +42,7 @@ def test_two_reference_runs_differ_in_size_and_speed_and_validation_is_another_k
         )
 
 
+@pytest.mark.long
 def test_the_law_was_there_in_every_recording_and_a_case_is_pure():
     mine, runs = learned_case("development", "two", "single", 0)
     again, same = learned_case("development", "two", "single", 0)
@@ -61,6 +62,7 @@ def test_the_law_was_there_in_every_recording_and_a_case_is_pure():
         learned_case("development", "one", "trap", 0)
 
 
+@pytest.mark.long
 def test_a_learned_robot_is_scored_from_its_own_recordings(tmp_path):
     case = made(("development", "learned", "one", "null", 1), tmp_path)
     row = judge_learned(case)
@@ -72,10 +74,8 @@ def test_a_learned_robot_is_scored_from_its_own_recordings(tmp_path):
     assert 0.0 < row["error_mm"]["noise"] < row["error_mm"]["learned"] < 5.0 and row["chain"] == []
 
 
-MORE = (pytest.param(number, marks=pytest.mark.long) for number in (15, 19))
-
-
-@pytest.mark.parametrize("number", [12, *MORE])
+@pytest.mark.long
+@pytest.mark.parametrize("number", [12, 15, 19])
 def test_what_a_map_cannot_follow_is_no_new_static_effect(tmp_path, number):
     """The cables of these fingers fall slack: a polynomial is off by 1.3 to 1.6 mm, on every run as
     much.

@@ -31,6 +31,7 @@ def test_a_run_is_a_pure_function_of_its_number(group):
     assert one.run.hash() == same.run.hash() != other.run.hash() and one.name == same.name
 
 
+@pytest.mark.long
 def test_scores_accept_right_answers_only():
     """Play is right for play with its gaps, and wrong for nothing, for a map, and for a law that is
     in no library.

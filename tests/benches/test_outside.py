@@ -124,6 +124,7 @@ def test_errors_are_what_they_say():
     assert error(case_of(body, body, values=places, unit="mm"), body, moved) == pytest.approx(5.0)
 
 
+@pytest.mark.long
 def test_peers_with_lags_find_a_delay_and_a_static_network_cannot():
     pytest.importorskip("pysindy")
     from benches.outside.peers import peers
@@ -215,6 +216,7 @@ def test_the_table_and_the_page_hold_every_figure():
     assert json.loads(document([row], {}))["rows"][0]["law"] == {"held": 0.1}
 
 
+@pytest.mark.long
 def test_absent_sets_are_skipped_with_their_reason(tmp_path):
     pytest.importorskip("pysindy")
     code = (

@@ -54,7 +54,13 @@ HIDDEN = {
 }
 
 
-@pytest.mark.parametrize("name", HIDDEN)
+@pytest.mark.parametrize(
+    "name",
+    [
+        "play that opens with the temperature",
+        pytest.param("play that is lost with time", marks=pytest.mark.long),
+    ],
+)
 def test_a_law_that_changes_is_not_identified(name):
     acting, condition = HIDDEN[name]
     found = diagnose(MODEL, warm_run(acting))

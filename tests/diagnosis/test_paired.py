@@ -189,6 +189,7 @@ def test_what_was_found_relative_to_a_reference_is_not_expected_of_it_again():
     assert both.verdict == "nothing" and both.made_from["reference"]["absent"] == ()
 
 
+@pytest.mark.long
 def test_the_next_experiment_is_chosen_for_a_difference():
     run, free = finger_run(["payload"], {"payload.mass": 9.0}), finger_run()
     found = diagnose(MODEL, run, effects=["payload", "gravity", "offset"], reference=free)

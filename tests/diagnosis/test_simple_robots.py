@@ -165,6 +165,7 @@ def both(first, second):
     return lambda u: np.column_stack([play(u[:, 0], first), play(u[:, 1], second)])
 
 
+@pytest.mark.long
 def test_play_in_one_servo_is_learned_as_identified_and_refit_comes_first_when_it_changes():
     model = learn_model(arm_run(8, both(0.0, 0.12), seconds=150.0))
     (law,) = model.learned_in

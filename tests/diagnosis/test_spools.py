@@ -88,6 +88,7 @@ def run():
     return finger_run(acting=pulley)
 
 
+@pytest.mark.long
 def test_a_pulley_of_known_radius_is_named_before_a_full_turn_is_seen(run):
     """Without the radius, a part of a sine is any smooth map of the commands."""
     model = builtin_model()

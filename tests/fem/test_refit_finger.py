@@ -53,6 +53,7 @@ def record(
     )
 
 
+@pytest.mark.long
 def test_modulus_cable_and_frame_are_found_within_their_deviations():
     true = {"young_mpa": 0.33, "cable_stiffness_n_mm": 9.0}
     found = fit_finger(FINGER, record(FINGER.replace(**true)))
@@ -145,6 +146,7 @@ def test_one_orientation_shows_a_ratio():
     ].value == pytest.approx(0.33 / 9, rel=0.05)
 
 
+@pytest.mark.long
 def test_markers_and_a_known_load(tmp_path, capsys):
     """Through the command, from markers on the surface and 20 g on the tip that the run
     declares.

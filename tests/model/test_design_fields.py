@@ -76,7 +76,11 @@ def moved(model: Model, name: str, params: dict[str, float]):
     return model.with_effects([name], params).predict(run) - model.predict(run)
 
 
-@pytest.mark.parametrize("name", CASES)
+QUICK = ("one_sided_stiffness", "twist", "pre_curve", "tendon_stretch")
+EACH = [name if name in QUICK else pytest.param(name, marks=pytest.mark.long) for name in CASES]
+
+
+@pytest.mark.parametrize("name", EACH)
 def test_the_built_in_model_answers_a_change_of_design_as_the_simulator_does(name, bare):
     params, change, allowed = CASES[name]
     finger = Finger.builtin()

@@ -28,6 +28,9 @@ CASES = {
     "60 g horizontal": (np.array([0.0, -1.0, 0.0]), 60.0, 0.08, 0.10),
     "60 g upwards": (UP / np.linalg.norm(UP), 60.0, 0.08, 0.20),
 }
+LOADS = [
+    name if name == "60 g leaning" else pytest.param(name, marks=pytest.mark.long) for name in CASES
+]
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +55,7 @@ def moved(model, gravity, grams):
     return model.predict(loaded) - model.predict(bare)
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", LOADS)
 def test_a_large_load_moves_the_finger_as_the_simulator_says(name, simulator, bare):
     gravity, grams, allowed, linear = CASES[name]
     truth = simulator.path(COMMANDS, gravity=gravity, load=NEWTON * grams * gravity) - bare
@@ -64,6 +67,7 @@ def test_a_large_load_moves_the_finger_as_the_simulator_says(name, simulator, ba
     assert first > linear * rms(truth), f"{first:.2f} of {rms(truth):.2f} mm: nothing to improve"
 
 
+@pytest.mark.long
 def test_a_lean_alone_is_answered_between_the_commands_of_the_sweep(simulator):
     """Where tendons fall slack between two of them: tensions interpolated across that kink are up
     to 2 N off, and the lean then 0.21 mm RMS.
@@ -98,8 +102,10 @@ SECTIONS = {
 }
 
 
-FIRST = ("half as stiff, leaning", "twice as stiff, leaning", "a kink, leaning")
-EACH = [name if name in FIRST else pytest.param(name, marks=pytest.mark.long) for name in SECTIONS]
+EACH = [
+    name if name == "half as stiff, leaning" else pytest.param(name, marks=pytest.mark.long)
+    for name in SECTIONS
+]
 
 
 @pytest.mark.parametrize("name", EACH)
@@ -214,6 +220,7 @@ def test_bends_are_the_differences_of_fields(coarse):
             assert np.abs(mine - wanted).max() < 0.01 * np.abs(wanted).max()
 
 
+@pytest.mark.long
 def test_a_finger_driven_by_tension_or_without_tendons_has_one_too(coarse):
     pulled = coarse.replace(
         command_unit="N", command_range=((0.0, 4.0), (0.0, 4.0)), pairs=((0,), (1,))

@@ -83,7 +83,7 @@ class Format:
     sample: Callable[[Path], Path]
     spoil: Callable[[Path, Path, np.random.Generator], Path]
     use: Callable[[Path], object]
-    some: int = 100  # spoiled by `make test`; `make test-long` spoils 500, `make prove` 10 000
+    some: int = 50  # spoiled by `make test`; `make test-long` spoils 500, `make prove` 10 000
     felt: float = 0.2  # the share that is refused at least: numbers of a log may be anything
 
 

@@ -66,7 +66,12 @@ def test_encodings_need_a_surface():
         train_prior(COMMANDS, POINTS, (TRAIN, TEST[:20], TEST[20:]), "arap")
 
 
-@pytest.mark.parametrize("name", NAMES)
+EACH = [
+    pytest.param(name, marks=pytest.mark.long) if name == "deepsoro" else name for name in NAMES
+]
+
+
+@pytest.mark.parametrize("name", EACH)
 def test_a_baseline_learns_and_the_same_seed_gives_the_same(name, monkeypatch):
     if name == "xgboost" and importlib.util.find_spec("xgboost") is None:
         pytest.skip("xgboost-cpu is not installed")
@@ -93,7 +98,7 @@ def test_a_baseline_learns_and_the_same_seed_gives_the_same(name, monkeypatch):
     )
 
 
-@pytest.mark.parametrize("name", ["table", "gp", "xgboost"])
+@pytest.mark.parametrize("name", ["table", "gp", pytest.param("xgboost", marks=pytest.mark.long)])
 def test_a_regressor_joins_a_bundle_as_a_table_of_its_own_values(name, tmp_path):
     if name == "xgboost" and importlib.util.find_spec("xgboost") is None:
         pytest.skip("xgboost-cpu is not installed")

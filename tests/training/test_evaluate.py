@@ -144,6 +144,7 @@ def test_a_table_is_compared_where_nothing_was_reported():
     assert (off < 0.1).all() and (away > 5 * off).all()
 
 
+@pytest.mark.long
 def test_a_prior_of_two_seeds_is_one_row_and_what_no_seed_changes_is_fitted_once(files):
     data = SimulatedSet.load(files / "s.npz")
     plan = Plan((0, 1), 3)
@@ -431,6 +432,7 @@ def test_commands_beyond_those_that_taught_a_prior_or_a_residual_are_reported(
     )
 
 
+@pytest.mark.long
 def test_clouds_with_a_shifted_base_are_compared_in_the_frame_of_their_base(files):
     """So that what is compared is the shape, and the true vertices, which are in that frame,
     fit.
