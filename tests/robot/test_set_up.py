@@ -176,6 +176,24 @@ def test_an_error_that_a_wrong_limit_brought_about_leads_in_no_circle(
         assert main(named) == 0 and settings(bus)["drive_mode"] == 0
 
 
+@pytest.mark.parametrize(
+    "level, bits, written",
+    [
+        (0, 0x20, "it answered pings only (status return level 0): it becomes 2"),
+        (1, 0x04, "status return level is 1: it becomes 2"),
+        (2, 0x10, ""),
+    ],
+)
+def test_a_set_up_that_fails_reports_what_it_wrote(level, bits, written, capsys):
+    with emulated_rig() as (bus, _, _):
+        leave(bus.path, BAUD, status_return_level=level)
+        bus.fail(0, bits)
+        assert main(["servo", "setup", "--port", bus.path, "--baud", str(BAUD), "--id", "1"]) == 2
+        said = capsys.readouterr().err
+        assert said.partition("softmap servo")[0].strip() == written
+        assert f"servo 1 reports {hardware(bits)}, so that it is not set up" in said
+
+
 @pytest.mark.parametrize("name, value", [("shutdown", 53), ("drive_mode", 1), ("id", 9)])
 def test_a_register_that_a_servo_refuses_is_named(name, value):
     with emulated_rig() as (bus, _, _):
