@@ -169,12 +169,15 @@ fn patiently<T>(
 fn found_as_declared(bus: &mut Bus<Opened>, members: &[Member]) -> Result<bool> {
     let mut fast = true;
     for Member { id, model } in members {
-        let told = patiently(|| bus.ping(*id));
-        let (number, firmware) = told.map_err(|fault| {
+        // They answered a moment ago, when their set-up was checked.
+        let silent = |fault: Fault| {
             invalid(format!(
-                "servo {id}: {fault}; check power, wiring and baud rate"
+                "servo {id}: {fault}; check its power and the cables of the bus, and close what \
+                else loads this computer (`softmap servo doctor --rig FILE` looks at both), then \
+                run the same command again"
             ))
-        })?;
+        };
+        let (number, firmware) = patiently(|| bus.ping(*id)).map_err(silent)?;
         if number != model.number {
             let found =
                 softmap_servo::registers::model(number).map_or("another model", |found| found.name);
@@ -185,10 +188,9 @@ fn found_as_declared(bus: &mut Bus<Opened>, members: &[Member]) -> Result<bool> 
         }
         fast &= firmware >= FAST_FIRMWARE;
         let (mut head, mut torque) = ([0; 64], [0]);
-        let register = |fault: Fault| invalid(format!("servo {id}: {fault}"));
-        patiently(|| bus.read(*id, 0, &mut head)).map_err(register)?;
+        patiently(|| bus.read(*id, 0, &mut head)).map_err(silent)?;
         let enabled = model.layout().torque_enable.address;
-        patiently(|| bus.read(*id, enabled, &mut torque)).map_err(register)?;
+        patiently(|| bus.read(*id, enabled, &mut torque)).map_err(silent)?;
         let offset = model.layout().homing_offset.address as usize;
         if torque[0] != 0 {
             return Err(invalid(format!(

@@ -82,6 +82,8 @@ pub fn servo_models<'py>(py: Python<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
         told.set_item("current_limit", model.current_limit)?;
         told.set_item("velocity_limit", model.velocity_limit)?;
         told.set_item("pwm_limit", FULL_PWM)?;
+        told.set_item("shutdown", model.shutdown)?;
+        told.set_item("position_gains", model.gains)?;
         Ok(told)
     };
     MODELS.iter().map(one).collect()

@@ -228,6 +228,9 @@ pub struct Model {
     pub velocity_limit: u16,
     /// Errors that shut it down by factory setting.
     pub shutdown: u8,
+    /// Position gains P, I and D of the manual's control table ("Initial Value"), register units.
+    /// The firmware may set others when an operating mode is chosen.
+    pub gains: (u16, u16, u16),
     /// Stall torque, N·m, and stall current, mA: "Stall Torque" under "Specifications" of the page
     /// of its name in ROBOTIS' e-Manual, at 5.0 V (XL330, XC330-M), 11.1 V (XC330-T) or 12.0 V
     /// (XL430, XM430, XM540).
@@ -289,6 +292,7 @@ const fn x(
     (temperature_limit, voltage): (u8, (f64, f64)),
     velocity_limit: u16,
     shutdown: u8,
+    gains: (u16, u16, u16),
     stall: (f64, f64),
 ) -> Model {
     Model {
@@ -301,6 +305,7 @@ const fn x(
         voltage,
         velocity_limit,
         shutdown,
+        gains,
         stall,
     }
 }
@@ -312,17 +317,17 @@ const LARGE: (u8, (f64, f64)) = (80, (9.5, 16.0));
 // A table: a row each.
 #[rustfmt::skip]
 pub const MODELS: [Model; 11] = [
-    x(1190, "XL330-M077", 6, (1.0, 1750), SMALL, 1620, 53, (0.215, 1470.0)),
-    x(1200, "XL330-M288", 6, (1.0, 1750), SMALL, 445, 53, (0.52, 1470.0)),
-    x(1230, "XC330-M181", 6, (1.0, 2352), SMALL, 545, 52, (0.6, 1800.0)),
-    x(1240, "XC330-M288", 6, (1.0, 2352), SMALL, 350, 52, (0.93, 1800.0)),
-    x(1210, "XC330-T181", 6, (1.0, 910), SMALL_12, 510, 52, (0.76, 800.0)),
-    x(1220, "XC330-T288", 6, (1.0, 910), SMALL_12, 320, 52, (0.92, 800.0)),
-    x(1060, "XL430-W250", 7, (0.0, 0), (72, (6.0, 14.0)), 265, 52, (1.5, 1400.0)),
-    x(1030, "XM430-W210", 7, (2.69, 1193), LARGE, 330, 52, (3.0, 2300.0)),
-    x(1020, "XM430-W350", 7, (2.69, 1193), LARGE, 350, 52, (4.1, 2300.0)),
-    x(1130, "XM540-W150", 7, (2.69, 2047), LARGE, 230, 52, (7.3, 4400.0)),
-    x(1120, "XM540-W270", 7, (2.69, 2047), LARGE, 128, 52, (10.6, 4400.0)),
+    x(1190, "XL330-M077", 6, (1.0, 1750), SMALL, 1620, 53, (400, 400, 0), (0.215, 1470.0)),
+    x(1200, "XL330-M288", 6, (1.0, 1750), SMALL, 445, 53, (400, 0, 0), (0.52, 1470.0)),
+    x(1230, "XC330-M181", 6, (1.0, 2352), SMALL, 545, 52, (1200, 0, 500), (0.6, 1800.0)),
+    x(1240, "XC330-M288", 6, (1.0, 2352), SMALL, 350, 52, (1100, 0, 500), (0.93, 1800.0)),
+    x(1210, "XC330-T181", 6, (1.0, 910), SMALL_12, 510, 52, (900, 0, 0), (0.76, 800.0)),
+    x(1220, "XC330-T288", 6, (1.0, 910), SMALL_12, 320, 52, (900, 0, 0), (0.92, 800.0)),
+    x(1060, "XL430-W250", 7, (0.0, 0), (72, (6.0, 14.0)), 265, 52, (640, 0, 4000), (1.5, 1400.0)),
+    x(1030, "XM430-W210", 7, (2.69, 1193), LARGE, 330, 52, (800, 0, 0), (3.0, 2300.0)),
+    x(1020, "XM430-W350", 7, (2.69, 1193), LARGE, 350, 52, (800, 0, 0), (4.1, 2300.0)),
+    x(1130, "XM540-W150", 7, (2.69, 2047), LARGE, 230, 52, (800, 0, 0), (7.3, 4400.0)),
+    x(1120, "XM540-W270", 7, (2.69, 2047), LARGE, 128, 52, (800, 0, 0), (10.6, 4400.0)),
 ];
 
 /// The servo of a model number.

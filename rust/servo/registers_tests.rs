@@ -67,9 +67,23 @@ fn the_families_of_the_series_are_known_as_the_manual_has_them() {
             (hot, shape.0),
             shape.1,
             shape.2,
+            known.gains,
             known.stall,
         );
         assert_eq!(made, *known);
+    }
+}
+
+#[test]
+fn each_model_has_gains_of_its_own_as_the_manual_has_them() {
+    for (number, gains) in [
+        (1190, (400, 400, 0)),
+        (1200, (400, 0, 0)),
+        (1240, (1100, 0, 500)),
+        (1060, (640, 0, 4000)),
+        (1120, (800, 0, 0)),
+    ] {
+        assert_eq!(model(number).unwrap().gains, gains, "{number}");
     }
 }
 

@@ -7,6 +7,7 @@ import re
 import shlex
 import subprocess
 import sys
+import time
 
 import pytest
 from other_program import leave
@@ -29,7 +30,7 @@ from softmap_edge.robot.servo.known_state import (
     needs,
     remarks_on_gains,
 )
-from softmap_edge.robot.servo.models import numbered, servo_model
+from softmap_edge.robot.servo.models import manual_gains, numbered, servo_model
 from softmap_edge.robot.servo.rig import Rig, RigServo, read_rig
 
 LEFT = {
@@ -43,6 +44,14 @@ LEFT = {
     "homing_offset": (-77, "homing offset is -77, needed is 0"),
     "return_delay_time": (100, "return delay time is 100, needed is 0"),
     "operating_mode": (3, "operating mode is 3 (position), needed is 5"),
+    "temperature_limit": (100, "temperature limit is 100, needed is 65 to 70"),
+    "max_voltage_limit": (50, "max voltage limit is 50 (5.0 V), needed is 70"),
+    "min_voltage_limit": (60, "min voltage limit is 60 (6.0 V), needed is 35"),
+    "shutdown": (
+        0,
+        "shutdown is 0 (no error shuts it down), needed is 53 (input voltage, overheating, "
+        "electrical shock, overload)",
+    ),
 }
 
 
@@ -115,6 +124,7 @@ PASSES = {
     "position_p_gain": 50,
     "position_d_gain": 9,
     "goal_pwm": 100,
+    "bus_watchdog": 100,
 }
 
 
@@ -153,6 +163,8 @@ def test_a_start_says_what_it_wrote_again():
         {"velocity_limit": 500},
         {"secondary_id": 253},
         {"position_p_gain": 900},
+        {"shutdown": 63},
+        {"temperature_limit": 66},
     ],
 )
 def test_what_binds_nothing_is_left_as_its_user_chose_it(values):
@@ -231,13 +243,14 @@ def test_the_process_of_a_loop_starts_without_numpy():
 
 
 DIFFERENT = {
-    "position_p_gain": (50, "position p gain is 50, the factory setting is 400"),
-    "position_i_gain": (7, "position i gain is 7, the factory setting is 0"),
-    "position_d_gain": (9, "position d gain is 9, the factory setting is 0"),
-    "feedforward_1st_gain": (3, "feedforward 1st gain is 3, the factory setting is 0"),
+    "position_p_gain": (50, "position p gain is 50, the manual's initial value is 400"),
+    "position_i_gain": (7, "position i gain is 7, the manual's initial value is 0"),
+    "position_d_gain": (9, "position d gain is 9, the manual's initial value is 0"),
+    "feedforward_1st_gain": (3, "feedforward 1st gain is 3, the manual's initial value is 0"),
     "profile_velocity": (5, "profile velocity is 5, needed is 0; each start writes it again"),
     "profile_acceleration": (5, "profile acceleration is 5, needed is 0; each start writes it"),
     "goal_pwm": (100, "goal pwm is 100, needed is 885; each start writes it again"),
+    "bus_watchdog": (9, "bus watchdog is 9, needed is 0; each start writes it again"),
 }
 
 
@@ -285,3 +298,74 @@ def test_no_model_as_delivered_has_gains_to_remark_on():
         with opened(bus.path, 57_600) as port:
             assert len(remarks_on_gains(found, setup.registers(port, 1))) == 1, model["name"]
         bus.unplug()
+
+
+def test_set_up_writes_no_gains_of_another_model():
+    """The servo sets its own; those of the table, one set a model, serve for comparison only."""
+    models = _core.servo_models()
+    assert len({model["position_gains"] for model in models}) >= 5
+    for model in models:
+        bus = _core.EmulatedBus([(1, model["number"], 57_600, 500.0)], [[]])
+        leave(bus.path, 57_600, position_p_gain=1, position_i_gain=2, position_d_gain=3)
+        (found,) = setup.scan(bus.path, 57_600)
+        with opened(bus.path, 57_600) as port:
+            (p, i, d) = remarks_on_gains(found, setup.registers(port, 1))
+        for line, gain in zip((p, i, d), model["position_gains"]):
+            assert f"the manual's initial value is {gain}; " in line, model["name"]
+        setup.set_up(found)
+        assert tuple(setup.gains(found)) == manual_gains(found.model), model["name"]
+        bus.unplug()
+
+
+LOOSE = {"temperature_limit": 100, "max_voltage_limit": 300, "min_voltage_limit": 20, "shutdown": 1}
+TIGHT = {"temperature_limit": 30, "max_voltage_limit": 61, "min_voltage_limit": 139}
+
+
+@pytest.mark.parametrize("number", [1190, 1060, 1210, 1120])
+@pytest.mark.parametrize("values", [LOOSE, TIGHT], ids=["loose", "tight"])
+def test_the_limits_by_which_a_servo_protects_itself_are_those_of_its_model(number, values):
+    model = numbered(number)
+    bus = _core.EmulatedBus([(1, number, 57_600, 500.0)], [[]])
+    leave(bus.path, 57_600, **values)
+    (found,) = setup.scan(bus.path, 57_600)
+    with opened(bus.path, 57_600) as port:
+        left = {need.register for need in differing(model, setup.registers(port, 1))}
+    assert left >= set(values)
+    setup.set_up(found)
+    with opened(bus.path, 57_600) as port:
+        now = setup.registers(port, 1)
+    low, high = model["voltage_V"]
+    assert [now[name] for name in LOOSE] == [
+        model["temperature_limit_C"],
+        round(10 * high),
+        round(10 * low),
+        model["shutdown"],
+    ]
+    bus.unplug()
+
+
+def test_a_temperature_limit_below_that_of_the_guard_is_refused():
+    """The guard of a cooler rig stops before the servo does; that of another one would not."""
+    with emulated_rig() as (bus, rig, limits):
+        leave(bus.path, BAUD, temperature_limit=60)
+        found = members_of(rig.numbers, limits, [])
+        assert "temperature limit is 60, needed is 65 to 70" in refusal(
+            examined(rig.port, rig.baud, found)
+        )
+        for hot in (45.0, 59.5, 60.0):
+            cool = limits | {"servos": [one | {"hot": hot} for one in limits["servos"]]}
+            cooler = members_of(rig.numbers, cool, [])
+            assert refusal(examined(rig.port, rig.baud, cooler)) == ""
+
+
+def test_a_watchdog_that_tripped_blocks_no_start():
+    """It refuses goals, so that it is cleared before the goal PWM is written again."""
+    with emulated_rig() as (bus, rig, _):
+        leave(bus.path, BAUD, goal_pwm=100, bus_watchdog=1, torque_enable=1)
+        time.sleep(0.1)
+        leave(bus.path, BAUD, torque_enable=0)
+        assert started(rig.port, rig.baud, members(rig)) == [
+            "servo 1: bus watchdog was 255, left by another program: it is 0 now",
+            "servo 1: goal pwm was 100, left by another program: it is 885 now",
+        ]
+        assert started(rig.port, rig.baud, members(rig)) == []

@@ -13,12 +13,13 @@ from waiting import until
 from softmap_edge.cli import main
 from softmap_edge.errors import ServoError
 from softmap_edge.robot import doctor
+from softmap_edge.robot.commissioning import reboot
 from softmap_edge.robot.commissioning.reboot import restart
 from softmap_edge.robot.control.controller import Controller
 from softmap_edge.robot.servo import status_words as words
 from softmap_edge.robot.servo.bus import opened
 from softmap_edge.robot.servo.home_mark import marked
-from softmap_edge.robot.servo.known_state import hardware
+from softmap_edge.robot.servo.known_state import hardware, ways_out
 
 ERRORS = {
     0x01: "input voltage",
@@ -26,6 +27,13 @@ ERRORS = {
     0x08: "motor encoder",
     0x10: "electrical shock",
     0x20: "overload",
+}
+WAYS = {
+    0x01: "check its supply voltage and cable",
+    0x04: "let it cool down",
+    0x08: "check its cable",
+    0x10: "short circuit",
+    0x20: "remove the load",
 }
 
 
@@ -39,8 +47,9 @@ def test_each_error_is_named_before_it_starts_and_restarted(bits, tmp_path, caps
             Controller(rig, calibration(), limits).__enter__()
         line = str(fault.value)
         assert line.startswith(
-            f"servo 2: it reports {ERRORS[bits]}; find the cause, then run `softmap servo reboot"
+            f"servo 2: it reports {ERRORS[bits]}; {ways_out(bits)}, then run `softmap servo reboot"
         )
+        assert WAYS[bits] in line
         assert main(re.search(r"`softmap ([^`]+)`", line)[1].split()) == 0
         out = capsys.readouterr().out
         assert f"servo 2 was restarted: it reported {ERRORS[bits]} before, and no error now" in out
@@ -110,7 +119,19 @@ def test_nothing_is_restarted_while_a_loop_drives(tmp_path, capsys):
             assert robot.state in ("engaged", "hold") and torque(bus), "a busy computer is late"
 
 
-def test_torque_goes_off_first_and_a_cause_that_stays_is_reported(tmp_path, capsys):
+@pytest.mark.parametrize("bits", WAYS)
+def test_a_cause_that_stays_is_named_with_its_remedy(bits, monkeypatch):
+    with emulated_rig() as (bus, rig, _):
+        bus.fail(0, bits)
+        monkeypatch.setattr(reboot, "_rebooted", lambda bus, id: None)
+        with pytest.raises(ServoError) as fault:
+            restart(rig.port, rig.baud, 1)
+        said = str(fault.value)
+        assert said.startswith(f"servo 1 was restarted and still reports {ERRORS[bits]}; ")
+        assert WAYS[bits] in said and "run the same command again" in said
+
+
+def test_torque_goes_off_first(tmp_path, capsys):
     file = str(tmp_path / "rig.toml")
     with emulated_rig() as (bus, rig, _):
         rig.write(file)
@@ -187,7 +208,7 @@ def test_every_command_that_reads_servos_names_servo_error_and_restart(bits, tmp
             assert "id 1`" not in said and "servo 1 reports" not in said
         assert main(["servo", "scan", *at, "--json"]) == 1
         (remark,) = json.loads(capsys.readouterr().out)["remarks"]
-        assert remark.startswith(f"servo 2 reports {ERRORS[bits]}; find the cause")
+        assert remark.startswith(f"servo 2 reports {ERRORS[bits]}; {ways_out(bits)}, then")
         assert main(shlex.split(re.search(r"`softmap ([^`]+)`", remark)[1])) == 0
         capsys.readouterr()
         assert main(["servo", "scan", *at]) == 0 and "reports" not in capsys.readouterr().out

@@ -14,10 +14,11 @@ from rigs import BAUD, HOME, MODEL, NUMBER, emulated_rig
 from softmap_edge import _core
 from softmap_edge.cli import main
 from softmap_edge.errors import ServoError
-from softmap_edge.robot.commissioning import setup
-from softmap_edge.robot.servo.bus import opened
+from softmap_edge.robot.commissioning import reboot, setup
+from softmap_edge.robot.servo.bus import opened, write_registers
 from softmap_edge.robot.servo.examined import members, started
 from softmap_edge.robot.servo.home_mark import marked
+from softmap_edge.robot.servo.known_state import hardware, ways_out
 from softmap_edge.robot.servo.rig import Rig, RigServo, read_rig
 
 
@@ -50,6 +51,15 @@ def test_the_entry_follows_the_servo_and_keeps_its_place(tmp_path, capsys):
     assert sorted(read_rig(file).made["set_up"]) == ["servo_2", "servo_3"]
     assert main(["servo", "home", "--rig", str(file), "--yes"]) == 0, "what is named next leads on"
     assert set_up(bus, file, "--id", "3", "--new-id", "1") == 0 and ids(file) == [1, 2]
+    bus.unplug()
+
+
+@pytest.mark.parametrize("left", [{"shutdown": 0}, {"temperature_limit": 99}, {"drive_mode": 1}])
+def test_a_servo_of_the_rig_stays_that_servo_whatever_another_program_left(left, tmp_path):
+    file, bus = tmp_path / "rig.toml", fresh()
+    assert set_up(bus, file, "--id", "1") == set_up(bus, file, "--id", "2") == 0
+    leave(bus.path, BAUD, **left)
+    assert set_up(bus, file, "--id", "1", "--new-id", "3") == 0 and ids(file) == [3, 2]
     bus.unplug()
 
 
@@ -105,6 +115,93 @@ def test_a_servo_that_obeys_the_old_id_too_is_found_before_both_are_renamed(caps
         assert [one.id for one in setup.scan(bus.path, BAUD)] == [1, 2]
         assert main([*argv, "2"]) == 0 and main([*argv, "1", "--new-id", "7"]) == 0
         assert [one.id for one in setup.scan(bus.path, BAUD)] == [2, 7]
+
+
+def settings(bus, id=1, baud=BAUD):
+    """Return the registers that a set-up may write."""
+    with opened(bus.path, baud) as port:
+        values = setup.registers(port, id)
+    return {
+        name: value
+        for name, value in values.items()
+        if not name.startswith("present") and name not in ("realtime_tick", "moving")
+    }
+
+
+@pytest.mark.parametrize("bits", [0x01, 0x04, 0x08, 0x10, 0x20, 0x24])
+@pytest.mark.parametrize("number", [1200, 1060, 1020])
+def test_a_servo_that_shut_itself_down_is_left_as_it_is_until_it_is_restarted(number, bits, capsys):
+    bus = _core.EmulatedBus([(1, number, 57_600, 500.0)], [[]])
+    bus.fail(0, bits)
+    before = settings(bus, baud=57_600)
+    argv = ["servo", "setup", "--port", bus.path, "--baud", "57600", "--new-id", "7"]
+    assert main([*argv, "--new-baud", str(BAUD)]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert f"servo 1 reports {hardware(bits)}, so that it is not set up; {ways_out(bits)}" in said
+    assert settings(bus, baud=57_600) == before
+    assert main(shlex.split(re.search(r"`softmap ([^`]+)`", said)[1])) == 0
+    assert main([*argv, "--new-baud", str(BAUD)]) == 0
+    assert [one.id for one in setup.scan(bus.path, BAUD)] == [7]
+    bus.unplug()
+
+
+@pytest.mark.parametrize(
+    "bits, register, value, becomes",
+    [
+        (0x01, "min_voltage_limit", 60, "min voltage limit is 60 (6.0 V): it becomes 35"),
+        (0x01, "max_voltage_limit", 40, "max voltage limit is 40 (4.0 V): it becomes 70"),
+        (0x04, "temperature_limit", 20, "temperature limit is 20: it becomes 70"),
+    ],
+)
+def test_an_error_that_a_wrong_limit_brought_about_leads_in_no_circle(
+    bits, register, value, becomes, capsys, monkeypatch
+):
+    """A restart would not clear it, so a restart names the set-up, which corrects the limit."""
+    with emulated_rig() as (bus, _, _):
+        leave(bus.path, BAUD, drive_mode=1, **{register: value})
+        bus.fail(0, bits)
+        before = settings(bus)
+        with monkeypatch.context() as stays:
+            stays.setattr(reboot, "_rebooted", lambda bus, id: None)
+            with pytest.raises(ServoError) as fault:
+                reboot.restart(bus.path, BAUD, 1)
+        assert f"still reports {hardware(bits)}: {becomes.partition(':')[0]}" in str(fault.value)
+        named = shlex.split(re.search(r"`softmap ([^`]+)`", str(fault.value))[1])
+        assert main(named) == 2
+        said = " ".join(capsys.readouterr().err.split())
+        assert f"servo 1 reports {hardware(bits)} ({becomes}), so that it is not set up" in said
+        changed = {name for name, one in settings(bus).items() if one != before[name]}
+        assert changed == {register}, "nothing else is written"
+        assert main(shlex.split(re.search(r"`softmap ([^`]+)`", said)[1])) == 0
+        assert main(named) == 0 and settings(bus)["drive_mode"] == 0
+
+
+@pytest.mark.parametrize(
+    "level, bits, written",
+    [
+        (0, 0x20, "it answered pings only (status return level 0): it becomes 2"),
+        (1, 0x04, "status return level is 1: it becomes 2"),
+        (2, 0x10, ""),
+    ],
+)
+def test_a_set_up_that_fails_reports_what_it_wrote(level, bits, written, capsys):
+    with emulated_rig() as (bus, _, _):
+        leave(bus.path, BAUD, status_return_level=level)
+        bus.fail(0, bits)
+        assert main(["servo", "setup", "--port", bus.path, "--baud", str(BAUD), "--id", "1"]) == 2
+        said = capsys.readouterr().err
+        assert said.partition("softmap servo")[0].strip() == written
+        assert f"servo 1 reports {hardware(bits)}, so that it is not set up" in said
+
+
+@pytest.mark.parametrize("name, value", [("shutdown", 53), ("drive_mode", 1), ("id", 9)])
+def test_a_register_that_a_servo_refuses_is_named(name, value):
+    with emulated_rig() as (bus, _, _):
+        leave(bus.path, BAUD, torque_enable=1)
+        address, _, _ = _core.servo_registers()[name]
+        said = f"servo 1, register {address}: .*torque is on"
+        with opened(bus.path, BAUD) as port, pytest.raises(ServoError, match=said):
+            write_registers(port, 1, address, bytes([value]))
 
 
 @pytest.mark.parametrize("level", [0, 1])

@@ -18,8 +18,6 @@ pub const RESET: f64 = 0.3;
 const STRAINED: f64 = 0.95;
 const PATIENCE: f64 = 1.0;
 const OVERLOAD: u8 = 0x20;
-/// Its factory position gain P, that of an XL330; the emulator does not use it.
-const GAIN: i32 = 400;
 /// Bits of its drive mode: reversed direction, and torque on by a goal.
 const REVERSED: i32 = 1;
 const ON_BY_GOAL: i32 = 8;
@@ -236,10 +234,11 @@ impl Servo {
     /// Set gains, profile and goal PWM of a newly chosen operating mode.
     fn begin_mode(&mut self) {
         let layout = self.model.layout();
+        let (p, i, d) = self.model.gains; // the emulator does not use them
         for (register, value) in [
-            (layout.position_p, GAIN),
-            (layout.position_i, 0),
-            (layout.position_d, 0),
+            (layout.position_p, i32::from(p)),
+            (layout.position_i, i32::from(i)),
+            (layout.position_d, i32::from(d)),
             (layout.feedforward_1, 0),
             (layout.feedforward_2, 0),
             (layout.profile_velocity, 0),

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
-from softmap_edge.commands.output import check_file, next_command, with_files
+from softmap_edge.commands.output import check_file, next_command, to_stderr, with_files
 from softmap_edge.commands.parser import Action, add_actions, run_action
 from softmap_edge.commands.servo.check import LimitsOptions, limits, limits_arguments
 from softmap_edge.commands.servo.commission import (
@@ -242,7 +242,12 @@ def _setup(args: SetupOptions) -> int:
     old = read_rig(args.rig) if args.rig and Path(args.rig).exists() else None
     entry = entry_of(old, found[0], args.new_id, args.new_baud)  # raises before anything is changed
     mended: list[str] = []
-    ready = setup.set_up(found[0], args.new_id, args.new_baud, mended.append, entry.asked)
+    try:
+        ready = setup.set_up(found[0], args.new_id, args.new_baud, mended.append, entry.asked)
+    except ServoError:
+        for line in mended:  # what was written before it failed
+            to_stderr(f"  {line}")
+        raise
     done = ready.servo
     if args.rig:
         mended += [with_files(one, args) for one in changes(entry, found[0], ready, args.rig)]

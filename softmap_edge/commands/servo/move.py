@@ -29,7 +29,7 @@ from softmap_edge.robot.commissioning.pull import LEAST_SHORT, SHORT
 from softmap_edge.robot.control.controller import Controller
 from softmap_edge.robot.motion.figures import WIDEST
 from softmap_edge.robot.servo import status_words as words
-from softmap_edge.robot.servo.conditions import JOG_TRAVEL
+from softmap_edge.robot.servo.conditions import HELD, JOG_TRAVEL
 from softmap_edge.robot.servo.home_mark import forget
 from softmap_edge.robot.servo.rig import Rig, read_rig
 from softmap_edge.robot.servo.terminal import EMERGENCY, terminal, wait_for_release
@@ -47,10 +47,6 @@ ENDS = {
 NEAR = 25.0  # ticks: largest distance to the target of a servo that has arrived
 LAGS = 1.0  # s from the goal's arrival until a servo is as close as it will come
 CAME_SHORT = 1  # exit code
-HELD = (
-    "find what holds the finger; `softmap servo limits` lists what caps the current, `softmap "
-    "servo pull` measures the current that the stroke needs"
-)
 STAYS = 3.0  # s at a command
 STEP = 10.0  # ticks of one tap; a held key continues from its first repetition
 HELP = (

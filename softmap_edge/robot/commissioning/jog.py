@@ -26,7 +26,7 @@ from softmap_edge.robot.control.controller import Controller
 from softmap_edge.robot.control.emergency_key import PRESSED
 from softmap_edge.robot.servo import status_words as words
 from softmap_edge.robot.servo.bus import opened
-from softmap_edge.robot.servo.conditions import JOG_TRAVEL
+from softmap_edge.robot.servo.conditions import JOG_TRAVEL, LOOSEN
 from softmap_edge.robot.servo.home_mark import forget, marked
 from softmap_edge.robot.servo.limits import rig_limits
 from softmap_edge.robot.servo.loop_limits import JOG_SLEW, loop_limits, servo_limits, strongest
@@ -251,7 +251,7 @@ class Jog:
                 elif left < 0:
                     raise ServoError(
                         f"servo {self.rig.servos[servo].id} was sent {ticks:+.0f} ticks and came "
-                        f"{self.position[servo] - begin:+.0f} in time; look what holds it"
+                        f"{self.position[servo] - begin:+.0f} in time; {LOOSEN}"
                     )
             self.robot.time.sleep(EVERY)
         self.robot.time.there(driving=False)

@@ -13,9 +13,16 @@ from dataclasses import dataclass
 from softmap_edge import _core
 from softmap_edge.errors import NoAnswer, ServoError
 from softmap_edge.files.atomic import Document
-from softmap_edge.robot.servo.bus import heard, kept_torque, opened, pinged
+from softmap_edge.robot.servo.bus import heard, kept_torque, opened, pinged, registers
 from softmap_edge.robot.servo.home_mark import set_mark
-from softmap_edge.robot.servo.known_state import hardware
+from softmap_edge.robot.servo.known_state import (
+    ServoState,
+    brought_by,
+    differs,
+    hardware,
+    setup_command,
+    ways_out,
+)
 from softmap_edge.robot.servo.presence import why_silent
 from softmap_edge.robot.servo.status_words import kept_words
 
@@ -83,12 +90,22 @@ def _restarted(port: str, baud: int, id: int) -> Restarted:
         _rebooted(bus, id)
         kept_torque(bus, [id])
         now = _errors(bus, id)
-    if now:
-        raise ServoError(
-            f"servo {id} was restarted and still reports {hardware(now)}; find the cause (a load, "
-            "its supply, heat, a cable), then switch its supply off and on"
-        )
+        if now:
+            raise ServoError(f"servo {id} was restarted and still reports {_still(bus, id, now)}")
     return Restarted(port, baud, id, reported)
+
+
+def _still(bus: _core.ServoBus, id: int, bits: int) -> str:
+    """Return errors that a restart did not clear, and the remedy."""
+    found = ServoState(bus.port, bus.baud, id, *(pinged(bus, id) or (0, 0)))
+    values = registers(bus, id)
+    if causes := [differs(found, one, values[one.register]) for one in brought_by(found, values)]:
+        setup = setup_command(bus.port, bus.baud, id)
+        return f"{hardware(bits)}: {', '.join(causes)}; run {setup}, which corrects it"
+    return (
+        f"{hardware(bits)}; {ways_out(bits)}, then run the same command again; if it stays, switch "
+        "its supply off and on"
+    )
 
 
 def _errors(bus: _core.ServoBus, id: int) -> int:

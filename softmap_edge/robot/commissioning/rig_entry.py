@@ -18,6 +18,8 @@ from softmap_edge.robot.servo.examined import members
 from softmap_edge.robot.servo.known_state import SET_UP, Asked, ServoState, differing
 from softmap_edge.robot.servo.rig import Rig, RigServo
 
+AS_DELIVERED = ("operating_mode", "return_delay_time")  # registers that every set-up changes
+
 
 @dataclass(frozen=True)
 class Entry:
@@ -164,7 +166,6 @@ def _known(rig: Rig, found: ServoState) -> bool:
             values = registers(bus, found.id)
     except ServoError:
         return False
-    fixed = [
-        need for need in differing(found.model, values) if not need.passing and need.least is None
-    ]
-    return not [need for need in fixed if need.register != "status_return_level"]
+    # as delivered, a servo differs in these alone; whatever else differs, another program left
+    left = {need.register for need in differing(found.model, values)}
+    return left.isdisjoint(AS_DELIVERED)

@@ -12,7 +12,15 @@ from dataclasses import dataclass, replace
 
 from softmap_edge import _core
 from softmap_edge.errors import NoAnswer, NoSuchRate, ServoError
-from softmap_edge.robot.servo.bus import heard, opened, patiently, pinged, rates, registers
+from softmap_edge.robot.servo.bus import (
+    heard,
+    opened,
+    patiently,
+    pinged,
+    rates,
+    registers,
+    write_registers,
+)
 from softmap_edge.robot.servo.home_mark import set_mark
 from softmap_edge.robot.servo.known_state import (
     ALWAYS,
@@ -21,16 +29,19 @@ from softmap_edge.robot.servo.known_state import (
     Asked,
     ServoState,
     Values,
+    brought_by,
     complaints,
     differing,
+    hardware,
     holds,
     most,
     needs,
     passing,
+    restart,
     setup_command,
     too_old,
 )
-from softmap_edge.robot.servo.models import ServoModel, factory_gains
+from softmap_edge.robot.servo.models import ServoModel, manual_gains
 from softmap_edge.robot.servo.presence import Heard, listened
 
 __all__ = ["Asked", "ServoState", "complaints", "gains", "needs", "registers", "scan", "set_up"]
@@ -111,7 +122,8 @@ def set_up(
 
     Raises:
         ServoError: its model is unknown, its firmware has no watchdog, the id or rate is not
-            possible, another servo would receive the same writes, or it does not keep the values.
+            possible, another servo would receive the same writes, it reports a hardware error, or
+            it does not keep the values.
     """
     model = found.model
     if model is None:
@@ -133,7 +145,8 @@ def set_up(
             _check_free(bus, found, id)
         _answering(bus, found.id, tell)
         before = registers(bus, found.id)
-        known = asked.gains or factory_gains(model)
+        _check_sound(bus, found, before, asked)
+        known = asked.gains or manual_gains(model)
         asked = replace(asked, gains=())  # the servo sets them
         changed = {need.register for need in differing(model, before, asked)}
         changed |= {"id"} if id != found.id else set()
@@ -148,7 +161,9 @@ def set_up(
         if baud != found.baud:
             # The answer may already come at the new rate; finding the servo there is sufficient.
             with suppress(NoAnswer):
-                _write(bus, id, "baud_rate", model["baud_rates"].index(baud))
+                address, size, _ = _core.servo_registers()["baud_rate"]
+                code = model["baud_rates"].index(baud)
+                patiently(bus.write, id, address, code.to_bytes(size, "little"))
     changed |= {"baud_rate"} if baud != found.baud else set()
     done = _proved(ServoState(found.port, baud, id, found.number, found.firmware), asked)
     return SetUp(done, frozenset(changed), recounted)
@@ -192,7 +207,9 @@ def _answering(bus: _core.ServoBus, id: int, tell: Callable[[str], None]) -> Non
         level = int.from_bytes(patiently(bus.read, id, address, size), "little")
     except NoAnswer:
         if pinged(bus, id) is None:
-            raise NoAnswer(f"servo {id}: no answer; check power and wiring") from None
+            raise NoAnswer(
+                f"servo {id}: no answer; check power and wiring, then run the same command again"
+            ) from None
         level = None
     if level == ALWAYS:
         return
@@ -206,6 +223,31 @@ def _answering(bus: _core.ServoBus, id: int, tell: Callable[[str], None]) -> Non
         else f"status return level is {level}"
     )
     tell(f"{was}: it becomes {ALWAYS}")
+
+
+def _check_sound(bus: _core.ServoBus, found: ServoState, before: Values, asked: Asked) -> None:
+    """Check that a servo reports no hardware error; a restart clears it, and would end a set-up.
+
+    Its own limits are corrected if they may be the cause: no restart would help against them.
+
+    Raises:
+        ServoError: it reports an error; the message names the error and the way out.
+    """
+    bits = before["hardware_error_status"]
+    if not bits:
+        return
+    lines = []
+    for need in brought_by(found, before, asked):
+        _write(bus, found.id, "torque_enable", 0)
+        _write(bus, found.id, need.register, need.value)
+        lines.append(
+            f"{holds(found, need.register, before[need.register])}: it becomes {need.value}"
+        )
+    corrected = f" ({', '.join(lines)})" if lines else ""
+    raise ServoError(
+        f"servo {found.id} reports {hardware(bits)}{corrected}, so that it is not set up; "
+        f"{restart(found, bits)}, then run the same command again"
+    )
 
 
 def _made_ready(
@@ -247,4 +289,4 @@ def _made_ready(
 
 def _write(bus: _core.ServoBus, id: int, name: str, value: int) -> None:
     address, size, _ = _core.servo_registers()[name]
-    patiently(bus.write, id, address, value.to_bytes(size, "little", signed=value < 0))
+    write_registers(bus, id, address, value.to_bytes(size, "little", signed=value < 0))

@@ -442,7 +442,10 @@ class Controller(Supervisor):
             raise ServoError(str(last["gone"]))
         if not came:
             raise ServoError(
-                f"{message} within {seconds:g} s (bus: {last.get('bus')}); check power and wiring"
+                self._named(
+                    f"{message} within {seconds:g} s (bus: {last.get('bus')}); check power and "
+                    "wiring: `softmap servo doctor --rig FILE` names what does not answer"
+                )
             )
 
     def _send(

@@ -79,12 +79,34 @@ def heard(bus: _core.ServoBus, id: int, address: int, size: int) -> bytes:
     try:
         return patiently(bus.read, id, address, size)
     except NoAnswer:
-        from softmap_edge.robot.servo.presence import muted
+        raise _diagnosed(bus, id) from None
 
-        message = muted(bus, id)
-        fault = NoAnswer(f"servo {id}{'' if message.startswith('answers') else ':'} {message}")
-        fault.why = message
-        raise fault from None
+
+def write_registers(bus: _core.ServoBus, id: int, address: int, data: bytes) -> None:
+    """Write registers of a servo; repeat the request if no answer comes.
+
+    Raises:
+        NoAnswer: the servo does not answer; the message names it and the remedy.
+        ServoError: the servo refuses; the message names servo and register.
+    """
+    try:
+        patiently(bus.write, id, address, data)
+    except NoAnswer:
+        raise _diagnosed(bus, id) from None
+    except PortLost:
+        raise
+    except ServoError as fault:
+        raise ServoError(f"servo {id}, register {address}: {fault}") from None
+
+
+def _diagnosed(bus: _core.ServoBus, id: int) -> NoAnswer:
+    """Return the error for a servo that does not answer: why, and the remedy."""
+    from softmap_edge.robot.servo.presence import muted
+
+    message = muted(bus, id)
+    fault = NoAnswer(f"servo {id}{'' if message.startswith('answers') else ':'} {message}")
+    fault.why = message
+    return fault
 
 
 def pings_only(port: str, baud: int, id: int) -> str:

@@ -10,14 +10,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from softmap_edge.robot.servo.known_state import Asked, ServoState, Values, usual
+from softmap_edge.robot.servo.known_state import PER_VOLT, Asked, ServoState, Values, usual
 from softmap_edge.robot.servo.loop_types import LoopLimits, LoopReport, ServoLimits
 
 JOG_TRAVEL = 300.0  # largest turn of one jog, ticks
-PER_VOLT = 10  # register units of the supply voltage per V
 COOL_DOWN = (
     "let it cool with torque off, and find why it got warm: a load, little air, a high current cap"
 )
+LOOSEN = "find what holds the finger; `softmap servo limits` lists what caps the current"
+HELD = f"{LOOSEN}, `softmap servo pull` measures the current that the stroke needs"
 POWER = "check the power supply and its cable"
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from softmap_edge import _core
 from softmap_edge.errors import NoAnswer, ServoError
 from softmap_edge.robot.remedies import parted
-from softmap_edge.robot.servo.bus import opened, patiently, pinged, registers
+from softmap_edge.robot.servo.bus import opened, pinged, registers, write_registers
 from softmap_edge.robot.servo.conditions import unfit
 from softmap_edge.robot.servo.home_mark import marked
 from softmap_edge.robot.servo.known_state import (
@@ -223,8 +223,8 @@ def _one(bus: _core.ServoBus, member: Member) -> ExaminedServo:
 def _written(bus: _core.ServoBus, one: ExaminedServo, need: Need) -> str:
     """Write a volatile register, and return the line that reports it."""
     address, size, _ = _core.servo_registers()[need.register]
-    patiently(
-        bus.write, one.id, address, need.value.to_bytes(size, "little", signed=need.value < 0)
+    write_registers(
+        bus, one.id, address, need.value.to_bytes(size, "little", signed=need.value < 0)
     )
     name = need.register.replace("_", " ")
     return (

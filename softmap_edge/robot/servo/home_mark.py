@@ -19,7 +19,7 @@ from contextlib import suppress
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
-from softmap_edge.robot.servo.bus import heard, opened, patiently
+from softmap_edge.robot.servo.bus import heard, opened, write_registers
 from softmap_edge.robot.servo.known_state import setup_command
 
 # first register of the mark; lowest address in it; number of registers, four bits each
@@ -43,7 +43,7 @@ def set_mark(bus: _core.ServoBus, id: int, home: int | None) -> None:
         ServoError: the servo does not answer or does not keep the mark.
     """
     digits = MAPPABLE.to_bytes(2, "little") * DIGITS if home is None else mark(id, home)
-    patiently(bus.write, id, MARK, digits)
+    write_registers(bus, id, MARK, digits)
     if heard(bus, id, MARK, SIZE) != digits:
         raise ServoError(
             f"servo {id} does not keep the mark of its home (registers {MARK} on); nothing can "

@@ -7,7 +7,10 @@ Sources: the X-series control tables and their known traps. A servo counts turns
 only. On old firmware, a homing offset makes a watchdog dangerous in these modes. A return delay
 costs bus time. A reversed drive mode inverts goal and position alike, so no other check detects it.
 The default gains of a mode depend on the firmware: set-up lets the servo choose them, and the rig
-file stores them (`[made.set_up]`). Pinned by tests/robot/test_known_state.py.
+file stores them (`[made.set_up]`). A servo protects itself by its temperature and voltage limits,
+and by its shutdown mask: each must lie between what the guard allows and the factory setting.
+Position limits apply in mode 3 only, so they are not in the list. Pinned by
+tests/robot/test_known_state.py.
 """
 
 from __future__ import annotations
@@ -19,7 +22,7 @@ from dataclasses import dataclass
 
 from softmap_edge import _core
 from softmap_edge.files.atomic import Document
-from softmap_edge.robot.servo.models import ServoModel, factory_gains, numbered
+from softmap_edge.robot.servo.models import ServoModel, manual_gains, numbered
 
 # with older firmware, a tripped watchdog lets the motor run on in mode 4 with a homing offset
 CLEAR = 42
@@ -52,6 +55,16 @@ GAINS = (
     "feedforward_2nd_gain",
 )
 MOST_GAIN = 16_383  # register units
+PER_VOLT = 10  # register units of voltages per V
+# for each bit of register 70: the remedy of its cause, and the registers that may bring it about
+WAYS_OUT = {
+    0x01: "check its supply voltage and cable",
+    0x04: "let it cool down with torque off",
+    0x08: "check its cable (a servo that reports this again is broken)",
+    0x10: "check its supply and cable for a short circuit",
+    0x20: "remove the load that holds it",
+}
+BROUGHT_BY = {0x01: ("max_voltage_limit", "min_voltage_limit"), 0x04: ("temperature_limit",)}
 SET_UP = "set_up"  # key in [made] of a rig: the gains of each servo, in the order of GAINS
 Values = dict[str, int]
 
@@ -98,19 +111,41 @@ class Asked:
 
 @dataclass(frozen=True)
 class Need:
-    """A required register value: `value`, or at least `least`.
+    """A required register value: `value`, or a range.
 
-    A start rewrites `passing` registers itself.
+    Attributes:
+        register: its name
+        value: the value that set-up writes
+        least, most: ends of the allowed range; without both, only `value` is allowed
+        bits: whether all bits of `value` must be set, and others may be
+        passing: whether a start rewrites it itself
     """
 
     register: str
     value: int
     least: int | None = None
+    most: int | None = None
+    bits: bool = False
     passing: bool = False
 
     def met(self, value: int) -> bool:
         """Return whether `value` meets the requirement."""
-        return value == self.value if self.least is None else value >= self.least
+        if self.bits:
+            return value & self.value == self.value
+        if self.least is None and self.most is None:
+            return value == self.value
+        return (self.least is None or value >= self.least) and (
+            self.most is None or value <= self.most
+        )
+
+    @property
+    def allowed(self) -> str:
+        """The allowed values as text."""
+        if self.bits or self.register == "secondary_id" or self.least == self.most:
+            return f"{self.value}"
+        if self.least is None:
+            return f"at most {self.most}"
+        return f"at least {self.least}" if self.most is None else f"{self.least} to {self.most}"
 
 
 def usual(model: ServoModel) -> Asked:
@@ -153,6 +188,8 @@ def needs(model: ServoModel, asked: Asked | None = None) -> list[Need]:
         Need("startup_configuration", 0),
         Need("pwm_limit", model["pwm_limit"]),
         Need("velocity_limit", model["velocity_limit"], _steps(model, asked.slew)),
+        *_protection(model, asked),
+        Need("bus_watchdog", 0, passing=True),  # a tripped one refuses goals, so it comes first
         Need("profile_velocity", 0, passing=True),
         Need("profile_acceleration", 0, passing=True),
     ]
@@ -161,6 +198,26 @@ def needs(model: ServoModel, asked: Asked | None = None) -> list[Need]:
         found.append(Need("current_limit", limit, min(math.floor(asked.current_mA / unit), limit)))
         found.append(Need("goal_pwm", model["pwm_limit"], passing=True))
     return found + [Need(name, gain, passing=True) for name, gain in zip(GAINS, asked.gains)]
+
+
+def _protection(model: ServoModel, asked: Asked) -> list[Need]:
+    """Return the requirements for the registers by which a servo protects itself.
+
+    A limit tighter than the guard's would shut the servo down before the guard releases tension.
+    """
+    hottest = round(model["temperature_limit_C"])
+    low, high = model["voltage_V"]
+    hot = hottest if asked.hot is None else min(asked.hot, hottest)
+    least, most = model["voltage_V"] if asked.voltage is None else asked.voltage
+    low, high, least, most = (
+        round(PER_VOLT * volts) for volts in (low, high, max(least, low), min(most, high))
+    )
+    return [
+        Need("temperature_limit", hottest, math.ceil(hot), hottest),
+        Need("max_voltage_limit", high, most, high),
+        Need("min_voltage_limit", low, low, least),
+        Need("shutdown", model["shutdown"], bits=True),
+    ]
 
 
 def differing(model: ServoModel, values: Values, asked: Asked | None = None) -> list[Need]:
@@ -181,7 +238,7 @@ def complaints(found: ServoState, values: Values, asked: Asked | None = None) ->
         if not need.passing
     ]
     if bits := values["hardware_error_status"]:
-        lines.append(f"it reports {hardware(bits)}; {restart(found)}")
+        lines.append(f"it reports {hardware(bits)}; {restart(found, bits)}")
     if values["torque_enable"]:
         lines.append(
             "its torque is on: another program drives it, or one died; `softmap servo off` "
@@ -210,11 +267,8 @@ def differs(found: ServoState, need: Need, value: int, asked: Asked | None = Non
     ):
         cap = (usual(model) if asked is None else asked).current_mA
         return f"its current limit ({value * unit:.0f} mA) is below the cap ({cap:.0f} mA)"
-    least = "" if need.least is None or need.register == "secondary_id" else "at least "
-    return (
-        f"{holds(found, need.register, value)}, needed is "
-        f"{least}{need.value if not least else need.least}"
-    )
+    note = f" ({hardware(need.value)})" if need.register == "shutdown" else ""
+    return f"{holds(found, need.register, value)}, needed is {need.allowed}{note}"
 
 
 def holds(found: ServoState, register: str, value: int) -> str:
@@ -225,6 +279,10 @@ def holds(found: ServoState, register: str, value: int) -> str:
             f" (with one, firmware {found.firmware} lets the motor run on when its watchdog trips "
             "in mode 4)"
         )
+    if register == "shutdown":
+        note = f" ({hardware(value) or 'no error shuts it down'})"
+    if register in ("max_voltage_limit", "min_voltage_limit"):
+        note = f" ({value / PER_VOLT:.1f} V)"
     return f"{register.replace('_', ' ')} is {value}{note}"
 
 
@@ -240,7 +298,7 @@ def rewritten(found: ServoState) -> str:
 
 
 def remarks_on_gains(found: ServoState, values: Values, asked: Asked | None = None) -> list[str]:
-    """Return a sentence for each gain that differs from its factory setting.
+    """Return a sentence for each gain that differs from the initial value in the manual.
 
     If the rig has the gains of set-up, these count instead (`passing`), and the list is empty.
     """
@@ -248,10 +306,10 @@ def remarks_on_gains(found: ServoState, values: Values, asked: Asked | None = No
         return []
     setup = setup_command(found.port, found.baud, found.id)
     return [
-        f"{holds(found, name, values[name])}, the factory setting is {gain}; {setup} lets the "
-        "servo set its gains again"
-        for name, gain in zip(GAINS, factory_gains(found.model))
-        if gain not in (None, values[name])
+        f"{holds(found, name, values[name])}, the manual's initial value is {gain}; {setup} lets "
+        "the servo set its gains again, and with --rig the rig keeps what its firmware sets"
+        for name, gain in zip(GAINS, manual_gains(found.model))
+        if gain != values[name]
     ]
 
 
@@ -262,11 +320,29 @@ def hardware(bits: int) -> str:
     return ", ".join([*known, *([f"error {left:#04x}"] if left else [])])
 
 
-def restart(found: ServoState) -> str:
-    """Return the remedy for a hardware error."""
+def ways_out(bits: int) -> str:
+    """Return what to do about the causes of hardware errors."""
+    known = [text for bit, text in WAYS_OUT.items() if bits & bit]
+    return ", ".join(known) or "find the cause"
+
+
+def restart(found: ServoState, bits: int) -> str:
+    """Return the remedy for hardware errors."""
     return (
-        f"find the cause, then run `softmap servo reboot --port {shlex.quote(found.port)} --baud "
-        f"{found.baud} --id {found.id}` (or switch its supply off and on)"
+        f"{ways_out(bits)}, then run `softmap servo reboot --port {shlex.quote(found.port)} "
+        f"--baud {found.baud} --id {found.id}` (or switch its supply off and on)"
+    )
+
+
+def brought_by(found: ServoState, values: Values, asked: Asked | None = None) -> list[Need]:
+    """Return the needs that are not met and may bring about the hardware errors in `values`."""
+    bits = values["hardware_error_status"]
+    names = [name for bit, some in BROUGHT_BY.items() if bits & bit for name in some]
+    model = found.model
+    return (
+        []
+        if model is None
+        else [need for need in differing(model, values, asked) if need.register in names]
     )
 
 

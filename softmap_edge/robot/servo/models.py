@@ -12,11 +12,6 @@ from typing import TypedDict
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
 
-# position gains P, I, D and feedforward 1, 2 of the manual (register units); None if they depend on
-# the firmware
-FACTORY_GAINS: dict[str, tuple[int | None, ...]] = {"XL330": (400, 0, 0, 0, 0)}
-OTHER_GAINS = (None, 0, None, 0, 0)
-
 
 class ServoModel(TypedDict):
     """Data of a servo model; currents are None for a model without a sensor."""
@@ -31,7 +26,9 @@ class ServoModel(TypedDict):
     current_unit_mA: float | None
     stall_current_mA: float
     stall_torque_Nm: float
+    position_gains: tuple[int, int, int]  # P, I, D of the manual, register units
     pwm_limit: int
+    shutdown: int  # bits of the errors that shut it down, as delivered
     velocity_limit: int
     fastest_ticks_per_s: float
     temperature_limit_C: float
@@ -55,9 +52,9 @@ def numbered(number: int) -> ServoModel | None:
     return next((model for model in _core.servo_models() if model["number"] == number), None)
 
 
-def factory_gains(model: ServoModel) -> tuple[int | None, ...]:
-    """Return the factory setting of each gain in the order of `known_state.GAINS`.
+def manual_gains(model: ServoModel) -> tuple[int, ...]:
+    """Return the initial gains in the manual of this model, in the order of `known_state.GAINS`.
 
-    None stands for a gain that depends on the firmware.
+    They only serve for comparison: the firmware may set others when a mode is chosen.
     """
-    return FACTORY_GAINS.get(model["name"].partition("-")[0], OTHER_GAINS)
+    return (*model["position_gains"], 0, 0)

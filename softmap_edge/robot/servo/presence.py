@@ -63,7 +63,7 @@ def _reported(bus: _core.ServoBus, servo: ServoState) -> str:
         bits = int.from_bytes(patiently(bus.read, servo.id, address, size), "little")
     except NoAnswer:
         return f"servo {servo.id}: {muted(bus, servo.id)}"
-    return f"servo {servo.id} reports {hardware(bits)}; {restart(servo)}" if bits else ""
+    return f"servo {servo.id} reports {hardware(bits)}; {restart(servo, bits)}" if bits else ""
 
 
 def why_silent(port: str, baud: int, id: int, listed: Collection[int] = ()) -> str:
@@ -84,7 +84,10 @@ def why_silent(port: str, baud: int, id: int, listed: Collection[int] = ()) -> s
             return f"it answers at {rate} baud, not at {baud}; run {run}, or mend baud in the rig"
     heard = listened(port, baud)
     if any(one.id == id for one in heard.found):
-        return "it answered late: it had just started, or the bus is disturbed; try again"
+        return (
+            "it answered late: it had just started, or the bus is disturbed; run the same command "
+            "again"
+        )
     if heard.remarks and not heard.found:
         return heard.remarks[0]
     with opened(port, baud) as bus:

@@ -10,7 +10,7 @@ from typing import Literal
 
 from softmap_edge.robot.remedies import parted
 from softmap_edge.robot.servo.conditions import COOL_DOWN, POWER, denied_for
-from softmap_edge.robot.servo.known_state import hardware
+from softmap_edge.robot.servo.known_state import hardware, ways_out
 from softmap_edge.robot.servo.loop_types import BusCounts, LoopLimits, LoopReport
 
 Level = Literal["off", "ready", "driving", "holding", "fault"]
@@ -76,7 +76,10 @@ STATES = {
 }
 MANY_LOST = 0.01  # share of lost answers from which they are reported
 REMEDIES = {  # remedies of causes; a cause without one needs none
-    "late": "check the cables of the bus, and close what else loads this computer",
+    "late": (
+        "check the cables of the bus, and close what else loads this computer (`softmap servo "
+        "doctor --rig FILE` looks at both)"
+    ),
     "overload": (
         "find what holds the finger; `softmap servo pull --rig FILE` measures the current that it "
         "needs"
@@ -221,10 +224,14 @@ def _unhomed(report: LoopReport) -> bool:
 
 def restarts(report: LoopReport) -> str:
     """Return the remedy for a servo with a hardware error."""
-    ids = [id for id, bits in zip(report.get("ids") or [], report.get("hardware") or []) if bits]
-    id = ids[0] if ids else "N"
+    found = [
+        (id, bits)
+        for id, bits in zip(report.get("ids") or [], report.get("hardware") or [])
+        if bits
+    ]
+    id, bits = found[0] if found else ("N", 0)
     return (
-        f"find the cause, restart it (`softmap servo reboot --rig FILE --id {id}`, or its supply "
+        f"{ways_out(bits)}, restart it (`softmap servo reboot --rig FILE --id {id}`, or its supply "
         "off and on)"
     )
 
