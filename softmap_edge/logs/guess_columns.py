@@ -118,7 +118,7 @@ class Sheet:
     more: tuple[str, ...] = ()  # the `file` of further parts that no common pattern names
     booleans: frozenset[str] = frozenset()  # columns that the file holds as booleans
     pivot: Pivot | None = None  # of a long table, whose rows are frames here
-    why: str = ""  # what shows that it is one
+    why: str = ""  # what shows that it is one, or may be one
 
     def column(self, name: str) -> Array:
         """Return the numbers of a column."""
@@ -185,6 +185,9 @@ def _turned(part: Part, columns: Columns, sheet: Sheet) -> Sheet:
     long = find_long(sheet, columns)
     if long is None:
         return sheet
+    if not long.sure:
+        remedy = f"if so, write {long.pivot.line()} below [[log]] and name the columns of each"
+        return replace(sheet, why=f"whether they are {long.why}; {remedy}")
     places = [sheet.names.index(str(name)) for name in (*long.pivot.frame, *long.pivot.marker)]
     count = len(long.pivot.frame)
     wide = pivoted(columns, part.file, places[:count], places[count:])

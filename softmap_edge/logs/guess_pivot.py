@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.logs.pivot import Pivot
 from softmap_edge.logs.readers.columns import Columns
+from softmap_edge.logs.readers.pivoted import frames_of
 from softmap_edge.logs.time_names import TIME_NAME, is_time_name, time_unit
 
 if TYPE_CHECKING:
@@ -53,12 +54,15 @@ class LongTable:
         shared: the columns that are equal in all rows of a frame.
         own: the columns of numbers that each marker has.
         why: a sentence on what shows it.
+        sure: whether a text, or a column named so, names the markers. Other numbers may count the
+            rows of a coarse second.
     """
 
     pivot: Pivot
     shared: list[str]
     own: list[str]
     why: str
+    sure: bool
 
 
 def find_long(sheet: Sheet, columns: Columns) -> LongTable | None:
@@ -72,9 +76,9 @@ def find_long(sheet: Sheet, columns: Columns) -> LongTable | None:
         return None
     ids = _ids(sheet, columns)
     sets = [*((one,) for one in ids), *combinations(ids, 2)]
-    frames = [_codes(sheet.rows_of(list(names))) for names in _frames(sheet)]
+    times = [_codes(sheet.rows_of(list(names))) for names in _frames(sheet)]
     for grouped in (True, False):
-        for names, frame in zip(_frames(sheet), frames):
+        for names, frame in zip(_frames(sheet), times):
             for chosen in sets:
                 if frame is None or set(names) & set(chosen):
                     continue
@@ -142,23 +146,31 @@ def _tested(
     grouped: bool,
 ) -> LongTable | None:
     """Return the long table of these columns; None if the values contradict."""
-    rows, frames = len(frame), int(frame.max()) + 1
-    if frames < _LEAST or (rows < _GROUPED * frames) == grouped:
-        return None
     marker = ids[chosen[0]]
     for name in chosen[1:]:
         pair = marker * (int(ids[name].max()) + 1) + ids[name]
         marker = np.unique(pair, return_inverse=True)[1].astype(np.int64)
     count = int(marker.max()) + 1
+    frame = frames_of(frame, marker, count)
+    rows, frames = len(frame), int(frame.max()) + 1
+    if frames < _LEAST or (rows < _GROUPED * frames) == grouped:
+        return None
     once = len(np.unique(frame * count + marker))
     if count < 2 or count * _LEAST > rows or rows - once > _TWICE * rows:
         return None
     order, starts = _by_frame(frame)
-    others = [name for name in sheet.names if name not in (*names, *chosen)]
+    others = [
+        name
+        for name in sheet.names
+        if name not in (*names, *chosen) and np.isfinite(sheet.column(name)).any()
+    ]
     own = [name for name in others if _differs(sheet.column(name), order, starts)]
     apart = [name for name in own if _apart(sheet.column(name), frame, marker, grouped)]
-    if not own or 2 * len(apart) < len(own):
+    if not apart or (grouped and 2 * len(apart) < len(own)):
         return None
+    own = own if grouped else apart
+    axes = {form for name in own for form in _without_axis(name)}
+    own = [name for name in others if name in own or axes & _without_axis(name)]
     shared = [name for name in sheet.names if name not in (*own, *chosen)]
     called = "' and '".join(chosen)
     why = (
@@ -166,7 +178,13 @@ def _tested(
         f"{', '.join(own[:4])}{' …' * (len(own) > 4)}"
         + ("" if grouped else "; every row has a time of its own, so each frame shows one of them")
     )
-    return LongTable(Pivot(names, chosen), shared, own, why)
+    sure = all(name in sheet.texts or _NAMES.search(name) for name in chosen)
+    return LongTable(Pivot(names, chosen), shared, own, why, sure)
+
+
+def _without_axis(name: str) -> set[str]:
+    """Return a name with each of its letters x, y, z left out: a plane may have y = 0 for all."""
+    return {f"{name[:k]}#{name[k + 1 :]}" for k, letter in enumerate(name) if letter in "xyzXYZ"}
 
 
 def _by_frame(frame: Rows) -> tuple[Rows, Rows]:
@@ -196,7 +214,11 @@ def _apart(column: Array, frame: Rows, marker: Rows, grouped: bool) -> bool:
     steps = []
     for first, second in ((frame, marker), (marker, frame)):
         order = np.lexsort((second, first))
-        same = np.diff(first[order]) == 0 if grouped or first is marker else np.ones(len(order) - 1, bool)
+        same = (
+            np.diff(first[order]) == 0
+            if grouped or first is marker
+            else np.ones(len(order) - 1, bool)
+        )
         step = np.abs(np.diff(column[order]))[same]
         steps.append(float(np.median(step)) if len(step) else 0.0)
     return steps[1] < _NEARER * steps[0]

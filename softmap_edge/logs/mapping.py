@@ -87,6 +87,7 @@ class Quantity:
     axes: int = 3  # coordinates of a marker: 2 in a plane
     # (columns,) size of a turn after which each rolls over, in the log's unit
     unwrap: Array | None = None
+    scaled: bool = False  # whether the mapping gives `scale`
 
 
 @dataclass(frozen=True)
@@ -407,6 +408,7 @@ def _quantity(log: TomlTable, name: str, command_unit: str) -> Quantity:
         not_seen=not_seen_of(table) if name in POINTS else (),
         axes=axes if name in POINTS else 1,
         unwrap=_unwrap(table, len(flat)) if name in DRIVES and "unwrap" in table.values else None,
+        scaled="scale" in table.values,
     )
 
 

@@ -183,9 +183,8 @@ def read_log(path: Path, log: Log, columns: Columns | None = None) -> LogTable:
     _within_reason(path, columns.where, cells, places, names)
     cells, aside = _set_aside(columns.where, cells, [places.index(clock) for clock in clocks])
     t = raw_times(path, columns, cells, places, log.clock)
-    times = times_of(
-        path, columns.where, cells, t, log.clock, [places.index(clock) for clock in clocks]
-    )
+    at = [places.index(clock) for clock in clocks]
+    times = times_of(path, columns.where, cells, t, log.clock, at, log.pivot is not None)
     values = dict(zip(places, times.cells.numbers.T))
     doubts = (*lacks, *cells.doubts, *times.doubts, *_assumed(log.clock, len(times.t)))
     notes = (*cells.notes, *aside, *times.notes)

@@ -243,7 +243,11 @@ def _cell(value: object) -> str:
     if isinstance(value, bool):
         return str(int(value))
     text = " ".join(str(value).split())
-    if isinstance(value, _Number) or (is_number(text) and "," not in text) or _PLAIN.fullmatch(text):
+    if (
+        isinstance(value, _Number)
+        or (is_number(text) and "," not in text)
+        or _PLAIN.fullmatch(text)
+    ):
         return text
     return '"' + text.replace('"', '""') + '"' if text else ""
 

@@ -25,6 +25,7 @@ from softmap_edge.logs.time_text import TimeText
 
 MOST_MARKERS = 1000
 MOST_CELLS = 2**25  # of the turned table in memory: 256 MiB
+_FEW = 0.05  # of the rows: more with a time and marker of others are a clock that was set back
 _LISTED = 4  # names in a note
 Rows = NDArray[np.int64]
 
@@ -108,7 +109,9 @@ class PivotedColumns:
                 "are read; split the log"
             )
         old = len(self.inner.names)
-        source = [p if p < old else self.of_markers[(p - old) % len(self.of_markers)] for p in places]
+        source = [
+            p if p < old else self.of_markers[(p - old) % len(self.of_markers)] for p in places
+        ]
         asked = sorted(set(source))
         cells = self.inner.read(asked, label)
         used = self.layout.frame < count
@@ -174,11 +177,7 @@ def pivoted(columns: Columns, path: Path, frame: list[int], marker: list[int]) -
     named = " and ".join(columns.names[place] for place in marker)
     markers, code = _markers(path, columns, marker, named)
     instant = np.unique(keys.numbers, axis=0, return_inverse=True)[1].reshape(-1)
-    order = np.lexsort((np.arange(len(code)), code))
-    rises = (np.diff(instant[order]) >= 0) | (np.diff(code[order]) != 0)
-    # a clock that is set back repeats its times: then only consecutive rows are one frame
-    frames = instant if rises.all() else np.cumsum(np.r_[False, np.diff(instant) != 0])
-    frames = frames.astype(np.int64)
+    frames = frames_of(instant.astype(np.int64), code, len(markers))
     _refuse_twice(path, columns.where, keys, frames, markers, code, called)
     count = int(frames.max()) + 1
     first = np.full(count, len(frames))
@@ -192,12 +191,29 @@ def pivoted(columns: Columns, path: Path, frame: list[int], marker: list[int]) -
     )
     layout = Layout(markers, frames, code, keys.lines[first], note)
     own = [k for k in range(len(columns.names)) if k not in (*frame, *marker)]
+    # a name of one letter says nothing, and `q.x` looks like a rate: `body q.x`
+    called = [f"{named} {name}" if len(name) == 1 and name.isalpha() else name for name in markers]
     added = [
         name if len(own) == 1 else f"{name}.{columns.names[place]}"
-        for name in markers
+        for name in called
         for place in own
     ]
     return PivotedColumns(path, columns, layout, own, [*columns.names, *added])
+
+
+def frames_of(instant: Rows, code: Rows, count: int) -> Rows:
+    """Return the frame of each row, from the number of its time and of its marker.
+
+    Rows of one time are a frame, wherever they stand. A clock that is set back, or rolls over,
+    repeats or disorders its times: then only consecutive rows of one time are a frame.
+    """
+    order = np.argsort(code, kind="stable")
+    rises = (np.diff(instant[order]) >= 0) | (np.diff(code[order]) != 0)
+    named = code >= 0
+    twice = named.sum() - len(np.unique(instant[named] * count + code[named]))
+    if rises.all() or 0 < twice <= _FEW * len(code):
+        return instant
+    return np.cumsum(np.r_[False, np.diff(instant) != 0])
 
 
 def _markers(

@@ -29,6 +29,7 @@ from softmap_edge.logs.readers.encoding import encoding_of, is_cut
 from softmap_edge.logs.readers.ending import RECENT, cut_within, lines_below
 from softmap_edge.logs.readers.header import Table, find_table, is_remark, table_lines, widths_of
 from softmap_edge.logs.readers.heads import names_again, refuse_rows_above, refuse_second_head
+from softmap_edge.logs.readers.late_table import late_table
 from softmap_edge.logs.readers.lines import blocks, first_lines, held_back
 from softmap_edge.logs.readers.spellings import (
     hex_columns,
@@ -490,8 +491,13 @@ def open_text(
         RunError: the file is absent, too large, not text, empty, or lacks an expected header.
     """
     start = table_lines(path, skip_rows)
-    at = next(k for k, line in enumerate(start) if not is_remark(line))
     table = find_table(without_heads(start), delimiter, EMPTY)
+    hidden = 0  # lines above those that are searched now
+    if (late := late_table(path, table, start, delimiter, skip_rows)) is not None:
+        skip_rows, hidden = skip_rows + late.lines, late.counted
+        start = table_lines(path, skip_rows)
+        table = find_table(without_heads(start), delimiter, EMPTY)
+    at = next(k for k, line in enumerate(start) if not is_remark(line))
     if table is None:  # no line of numbers: assume that the first line holds the names
         cut = delimiter or find_delimiter(start[at])
         names = split(start[at], cut)
@@ -508,7 +514,7 @@ def open_text(
         )
         names = [str(k) for k in range(table.width)]
     head = start[: first if table.header is None else table.header]
-    skipped = sum(not is_remark(line) for line in head)
+    skipped = hidden + sum(not is_remark(line) for line in head)
     notes = [f"lines above the table were skipped: {skipped}"] if skipped else []
     notes += ["the line below the header is units"] if table.units and header is not False else []
     if table.fewest < table.width:
