@@ -1,5 +1,5 @@
 """A table below thousands of lines of settings or messages is found; rows of numbers above it are
-refused; a log without a table is named, with the key that tells where it begins.
+refused; a log without a table is named, with the key that states where it begins.
 """
 
 import pytest

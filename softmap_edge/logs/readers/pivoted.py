@@ -4,8 +4,8 @@ Column `x` of the rows of marker `tip` becomes column `tip.x`. The columns of th
 numbers that are equal in all rows of a frame, such as commands. A marker without a row in a frame
 was not seen in it. Two rows for one marker of a frame are refused.
 
-The table is read twice: once for frames and markers, once for the requested cells. Both times only
-requested columns are kept. Pinned by tests/logs/test_long_tables.py.
+The table is read once for frames and markers, and once for the requested cells; only requested
+columns are kept. Pinned by tests/logs/test_long_tables.py.
 """
 
 from __future__ import annotations
@@ -165,7 +165,7 @@ def pivoted(columns: Columns, path: Path, frame: list[int], marker: list[int]) -
     Raises:
         RunError: a row has no frame, or a marker has two rows in a frame.
     """
-    keys = columns.read(frame)
+    keys = columns.read(frame, marker[0])
     called = [columns.names[place] for place in frame]
     missing = ~np.isfinite(keys.numbers).all(axis=1)
     if missing.any():
@@ -175,7 +175,7 @@ def pivoted(columns: Columns, path: Path, frame: list[int], marker: list[int]) -
             f"number in {int(missing.sum())} rows, so their frame is not known; remove the lines"
         )
     named = " and ".join(columns.names[place] for place in marker)
-    markers, code = _markers(path, columns, marker, named)
+    markers, code = _markers(path, columns, marker, keys, named)
     instant = np.unique(keys.numbers, axis=0, return_inverse=True)[1].reshape(-1)
     frames = frames_of(instant.astype(np.int64), code, len(markers))
     _refuse_twice(path, columns.where, keys, frames, markers, code, called)
@@ -217,13 +217,16 @@ def frames_of(instant: Rows, code: Rows, count: int) -> Rows:
 
 
 def _markers(
-    path: Path, columns: Columns, places: Sequence[int], named: str
+    path: Path, columns: Columns, places: Sequence[int], keys: Cells, named: str
 ) -> tuple[list[str], Rows]:
-    """Return the names of the markers, and the marker of each row; -1 where no cell names it."""
+    """Return the names of the markers, and the marker of each row; -1 where no cell names it.
+
+    `keys` holds the texts of the first column already.
+    """
     found: list[str] = [""]
     code = np.zeros(0, np.int64)
     for place in places:
-        labels = columns.read([], place).labels
+        labels = keys.labels if place == places[0] else columns.read([], place).labels
         assert labels is not None
         known, own = np.unique(labels, return_inverse=True)
         pair = own if not len(code) else code * len(known) + own

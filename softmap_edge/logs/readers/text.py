@@ -12,7 +12,7 @@ seconds, and little more memory than their numbers (tests/logs/test_import_csv.p
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -48,6 +48,7 @@ from softmap_edge.logs.time_text import (
 _HEADS = 60  # lines above the rows that are compared with the lines between them
 NO_NUMBER = "; use one decimal mark and no marks between groups of digits, or export the log again"
 _LISTED = 4  # columns that are named in a note
+_MOST_LETTERS = 2**28  # of a column of texts: its array has the length of the longest everywhere
 _FIRST = 200  # rows whose text decides the content of a column
 
 
@@ -159,7 +160,7 @@ class TextColumns:
             raise RunError(
                 f"{self.path}: holds no rows; give a log that holds data, or fewer skip_rows"
             )
-        found = np.array(labels) if label is not None else None
+        found = None if label is None else self._labels(label, labels, known)
         at = np.concatenate(lines)
         blank = int(at[-1]) - self.first + 1 - count - sum(line < at[-1] for line in between.found)
         notes = (
@@ -174,6 +175,16 @@ class TextColumns:
         self._unclear(read, plain, int(at[-1]) - self.first + 1)
         table, more = self._joined(read, places, {k: np.concatenate(v) for k, v in times.items()})
         return Cells(table, found, at, (*notes, *more), doubts=doubts)
+
+    def _labels(self, place: int, labels: list[str], known: Iterable[str]) -> NDArray[np.generic]:
+        """Return the texts of a column as an array; RunError if the longest makes it too large."""
+        longest = max(map(len, known), default=0)
+        if longest * len(labels) > _MOST_LETTERS:
+            raise RunError(
+                f"{self.path}: column {self.names[place]}: its longest text has {longest} "
+                f"characters, too many for names in {len(labels)} rows; name another column"
+            )
+        return np.array(labels)
 
     def _cut(self, recent: list[str], line: int) -> tuple[str, ...]:
         """Return a doubt if the file ends, or seems to end, within its last cell."""
