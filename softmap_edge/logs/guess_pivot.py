@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.logs.pivot import Pivot
 from softmap_edge.logs.readers.columns import Columns
-from softmap_edge.logs.readers.pivoted import frames_of
+from softmap_edge.logs.readers.pivoted import MOST_MARKERS, frames_of
 from softmap_edge.logs.time_names import TIME_NAME, is_time_name, time_unit
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ _MOST = 64  # values of a column of ids that are numbers
 _TWICE = 0.05  # of the rows: more that share frame and id are no duplicates
 _EXPLAINED = 0.2  # of the variance: an id that explains so much names markers
 _NEARER = 0.5  # of the step to the neighbour in the frame: the step of one marker
+_NAMED = 0.3  # of the rows: others hold commands, or nothing
 _CYCLES = 0.8  # of the rows: the next row has another id
 _TRIED = 8  # columns of ids, and of frames
 
@@ -79,8 +80,10 @@ def find_long(sheet: Sheet, columns: Columns) -> LongTable | None:
     times = [_codes(sheet.rows_of(list(names))) for names in _frames(sheet)]
     for grouped in (True, False):
         for names, frame in zip(_frames(sheet), times):
+            if grouped and not _repeats(frame):
+                continue
             for chosen in sets:
-                if frame is None or set(names) & set(chosen):
+                if set(names) & set(chosen):
                     continue
                 if not grouped and not _cycles(chosen, ids):
                     continue
@@ -90,15 +93,22 @@ def find_long(sheet: Sheet, columns: Columns) -> LongTable | None:
     return None
 
 
-def _codes(rows: Array) -> Rows | None:
-    """Return a number for each distinct row of (rows, n), in their order; None if one is empty."""
-    if not np.isfinite(rows).all():
-        return None
-    return np.unique(rows, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
+def _codes(rows: Array) -> Rows:
+    """Return a number for each distinct row of (rows, n), in their order; -1 if one is empty."""
+    known = np.isfinite(rows).all(axis=1)
+    code = np.full(len(rows), -1)
+    code[known] = np.unique(rows[known], axis=0, return_inverse=True)[1].reshape(-1)
+    return code
+
+
+def _repeats(frame: Rows) -> bool:
+    """Return whether times come again, in the same frame or after a clock was set back."""
+    known = frame[frame >= 0]
+    return len(known) >= _GROUPED * len(np.unique(known)) or bool((np.diff(known) < 0).any())
 
 
 def _ids(sheet: Sheet, columns: Columns) -> dict[str, Rows]:
-    """Return the columns that may name markers, with a number for each name."""
+    """Return the columns that may name markers, with a number for each name; -1 without one."""
     found: dict[str, Rows] = {}
     rows = len(sheet.numbers)
     for k, name in enumerate(sheet.names):
@@ -108,15 +118,16 @@ def _ids(sheet: Sheet, columns: Columns) -> dict[str, Rows]:
             few = len(set(sheet.texts[name])) <= max(2, len(sheet.texts[name]) // 2)
             texts = columns.read([], k, rows).labels if few else None
             if texts is not None and not _COUNTS.search(name):
-                found[name] = np.unique(texts[:rows], return_inverse=True)[1].astype(np.int64)
+                distinct, code = np.unique(texts[:rows], return_inverse=True)
+                found[name] = code - int(distinct[0] == "")
             continue
-        values = sheet.column(name)
-        counted = _COUNTS.search(name) or time_unit(name) is not None
-        whole = np.isfinite(values).all() and bool((values == np.rint(values)).all())
-        if whole and not (counted and not _NAMES.search(name)):
-            distinct, code = np.unique(values, return_inverse=True)
-            if 1 < len(distinct) <= _MOST:
-                found[name] = code.astype(np.int64)
+        values, named = sheet.column(name), _NAMES.search(name) is not None
+        known = values[np.isfinite(values)]
+        counted = _COUNTS.search(name) is not None or time_unit(name) is not None
+        if bool((known == np.rint(known)).all()) and (named or not counted):
+            code = _codes(values[:, None])
+            if 0 < code.max() < (MOST_MARKERS if named else _MOST):
+                found[name] = code
     return found
 
 
@@ -146,16 +157,20 @@ def _tested(
     grouped: bool,
 ) -> LongTable | None:
     """Return the long table of these columns; None if the values contradict."""
-    marker = ids[chosen[0]]
-    for name in chosen[1:]:
-        pair = marker * (int(ids[name].max()) + 1) + ids[name]
-        marker = np.unique(pair, return_inverse=True)[1].astype(np.int64)
+    marker = _codes(np.stack([ids[name] for name in chosen], axis=1).astype(float))
+    named = (frame >= 0) & np.all([ids[name] >= 0 for name in chosen], axis=0)
+    if named.mean() < _NAMED:
+        return None
+    table = sheet.numbers[frame >= 0]
+    marker, named, frame = (one[frame >= 0] for one in (marker, named, frame))
+    marker[named] = np.unique(marker[named], return_inverse=True)[1]
+    marker[~named] = -1
     count = int(marker.max()) + 1
     frame = frames_of(frame, marker, count)
-    rows, frames = len(frame), int(frame.max()) + 1
+    rows, frames = int(named.sum()), len(np.unique(frame[named]))
     if frames < _LEAST or (rows < _GROUPED * frames) == grouped:
         return None
-    once = len(np.unique(frame * count + marker))
+    once = len(np.unique((frame * count + marker)[named]))
     if count < 2 or count * _LEAST > rows or rows - once > _TWICE * rows:
         return None
     order, starts = _by_frame(frame)
@@ -164,8 +179,11 @@ def _tested(
         for name in sheet.names
         if name not in (*names, *chosen) and np.isfinite(sheet.column(name)).any()
     ]
-    own = [name for name in others if _differs(sheet.column(name), order, starts)]
-    apart = [name for name in own if _apart(sheet.column(name), frame, marker, grouped)]
+    columns = {name: table[:, sheet.names.index(name)] for name in others}
+    own = [name for name in others if _differs(columns[name], order, starts)]
+    apart = [
+        name for name in own if _apart(columns[name][named], frame[named], marker[named], grouped)
+    ]
     if not apart or (grouped and 2 * len(apart) < len(own)):
         return None
     own = own if grouped else apart

@@ -74,6 +74,17 @@ MAKES = {
             )
         ],
     ),
+    "numbers, and commands in rows of their own": (
+        "t,id,x,y,z,u1,u2",
+        [
+            line
+            for k in range(FRAMES)
+            for line in (
+                *(f"{T[k]:.3f},{m + 1},{xyz(k, m)},," for m in range(MARKERS)),
+                f"{T[k]:.3f},,,,,{pulled(k)}",
+            )
+        ],
+    ),
     "numbers that all markers share": (
         "frame,t,marker,u1,u2,x,y,z,rate",
         [f"{k},{T[k]:.3f},m{m},{pulled(k)},{xyz(k, m)},50" for k, m in BY_FRAME],
@@ -141,6 +152,23 @@ def test_two_rows_of_one_marker_and_time_are_refused(tmp_path, make, where):
     path = written(tmp_path, head, more)
     with pytest.raises(RunError, match=r"lines 6 and \d+ both hold marker .* 1 of \d+ rows"):
         guess_mapping([path])
+
+
+def test_a_row_without_time_is_refused_with_its_line(tmp_path):
+    head, rows = MAKES["a name, and commands repeated"]
+    path = written(tmp_path, head, [*rows[:7], rows[7].replace(f"{T[2]:.3f}", "", 1), *rows[8:]])
+    with pytest.raises(RunError, match="line 9: 't' is empty or no number in 1 rows"):
+        guess_mapping([path])
+
+
+def test_a_hundred_markers(tmp_path):
+    rows = [
+        f"{T[k]:.3f},{m},{PLACES[k, 2, 0] + m % 10:.3f},{PLACES[k, 2, 1]:.3f},{m // 10}"
+        for k in range(FRAMES)
+        for m in range(100)
+    ]
+    path = written(tmp_path, "t,marker_id,x,y,z", rows)
+    assert imported(path, guess_mapping([path]).text).run.markers.shape == (FRAMES, 100, 3)
 
 
 def test_a_clock_that_is_set_back_does_not_mix_its_frames(tmp_path):
