@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from softmap_edge.errors import RunError
+from softmap_edge.logs.readers.between import without_heads
 from softmap_edge.logs.readers.cells import is_value, split, trimmed
 from softmap_edge.logs.readers.encoding import encoding_of, is_wide
-from softmap_edge.logs.readers.header import Table, find_table, is_remark
+from softmap_edge.logs.readers.header import Table, find_table, is_remark, table_lines
 from softmap_edge.logs.readers.lines import blocks, first_lines
 from softmap_edge.logs.readers.words import EMPTY
 
@@ -29,28 +30,52 @@ _NUMBERS = re.compile(r"[-+\d.eE]+(?:[\s,;|]+[-+\d.eE]+)+")  # a row of numbers 
 
 
 @dataclass(frozen=True)
-class Late:
-    """Where to search for a table: below `lines` lines, `counted` of them no remarks."""
+class Found:
+    """What is known of the table of a log.
 
-    lines: int
-    counted: int
+    Attributes:
+        lines: those that were searched.
+        table: the table among them; None without rows of numbers.
+        skipped: lines above them.
+        hidden: how many of these are no remarks and are not skipped by the mapping.
+    """
+
+    lines: list[str]
+    table: Table | None
+    skipped: int
+    hidden: int = 0
 
 
-def late_table(
-    path: Path, table: Table | None, lines: Sequence[str], delimiter: str | None, skipped: int
-) -> Late | None:
-    """Return where to search for a table that begins late; None if `table` is the log's.
+def search(path: Path, delimiter: str | None, skipped: int) -> Found:
+    """Find the table of a text log.
 
     Args:
         path: the log.
-        table: what was found in its first lines.
-        lines: these lines.
-        delimiter: the separator of cells, if the mapping gives it.
-        skipped: lines above them.
+        delimiter: the separator of cells; None to find it.
+        skipped: lines to skip.
 
     Raises:
-        RunError: no table is found, or rows of numbers stand above it.
+        RunError: a long file has no table, or rows of numbers stand above a table far below.
     """
+    first = _found(path, delimiter, skipped)
+    late = _late_start(path, first, delimiter)
+    if late is None:
+        return first
+    begin, hidden = late
+    return replace(_found(path, delimiter, begin), hidden=hidden)
+
+
+def _found(path: Path, delimiter: str | None, skipped: int) -> Found:
+    lines = table_lines(path, skipped)
+    return Found(lines, find_table(without_heads(lines), delimiter, EMPTY), skipped)
+
+
+def _late_start(path: Path, first: Found, delimiter: str | None) -> tuple[int, int] | None:
+    """Return the lines above those to search for a table far below, and how many are no remarks.
+
+    None if the table of the first lines is the log's.
+    """
+    lines, table, skipped = first.lines, first.table, first.skipped
     settings = table is not None and table.names is None and not _is_row(lines[table.first], table)
     if not settings and not first_lines(path, 1, skipped + 1 + len(lines)):
         return None
@@ -110,8 +135,8 @@ def _is_row(line: str, table: Table) -> bool:
     return fits and is_value(filled[0])
 
 
-def _begin(path: Path, rows: Table, skipped: int) -> Late | None:
-    """Return where the first stretch of rows begins, with some lines above for the names."""
+def _begin(path: Path, rows: Table, skipped: int) -> tuple[int, int]:
+    """Return where to search for the first stretch of rows, as `_late_start`."""
     stretch = counted = others = 0
     above: list[bool] = []  # which of the last lines count
     for first, lines in blocks(path, skipped + 1, skipped + 1 + MOST):
@@ -122,7 +147,8 @@ def _begin(path: Path, rows: Table, skipped: int) -> Late | None:
             if stretch == 1 and row:
                 begin = number
             if stretch == _SOLID:
-                return _late(path, begin, others, above, counted, skipped)
+                _refuse_others(path, begin, others)
+                return begin - 1 - len(above), counted - sum(above)
             if not stretch:
                 others += _NUMBERS.fullmatch(line.strip()) is not None
                 counted += not remark
@@ -134,13 +160,11 @@ def _begin(path: Path, rows: Table, skipped: int) -> Late | None:
     )
 
 
-def _late(
-    path: Path, begin: int, others: int, above: Sequence[bool], counted: int, skipped: int
-) -> Late:
+def _refuse_others(path: Path, begin: int, others: int) -> None:
+    """Raise RunError if rows of numbers stand above a table: they would be dropped."""
     if others >= _SOLID:
         raise RunError(
             f"{path}: {others} rows of numbers stand above the table that begins in line {begin}; "
             f"cut the log there, and import each part (skip_rows = {begin - 2} reads the rows from "
             "there on)"
         )
-    return Late(begin - 1 - len(above) - skipped, counted - sum(above))

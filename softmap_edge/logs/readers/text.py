@@ -12,7 +12,7 @@ seconds, and little more memory than their numbers (tests/logs/test_import_csv.p
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -21,15 +21,15 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
 from softmap_edge.files.printable import listed
-from softmap_edge.logs.readers.between import Between, without_heads
+from softmap_edge.logs.readers.between import Between
 from softmap_edge.logs.readers.cells import find_delimiter, is_number, is_plain, split
 from softmap_edge.logs.readers.clock_cells import clocks_of
-from softmap_edge.logs.readers.columns import Array, Cells
+from softmap_edge.logs.readers.columns import Array, Cells, text_array
 from softmap_edge.logs.readers.encoding import encoding_of, is_cut
 from softmap_edge.logs.readers.ending import RECENT, cut_within, lines_below
-from softmap_edge.logs.readers.header import Table, find_table, is_remark, table_lines, widths_of
+from softmap_edge.logs.readers.header import Table, is_remark, widths_of
 from softmap_edge.logs.readers.heads import names_again, refuse_rows_above, refuse_second_head
-from softmap_edge.logs.readers.late_table import late_table
+from softmap_edge.logs.readers.late_table import search
 from softmap_edge.logs.readers.lines import blocks, first_lines, held_back
 from softmap_edge.logs.readers.spellings import (
     hex_columns,
@@ -48,7 +48,6 @@ from softmap_edge.logs.time_text import (
 _HEADS = 60  # lines above the rows that are compared with the lines between them
 NO_NUMBER = "; use one decimal mark and no marks between groups of digits, or export the log again"
 _LISTED = 4  # columns that are named in a note
-_MOST_LETTERS = 2**28  # of a column of texts: its array has the length of the longest everywhere
 _FIRST = 200  # rows whose text decides the content of a column
 
 
@@ -160,7 +159,7 @@ class TextColumns:
             raise RunError(
                 f"{self.path}: holds no rows; give a log that holds data, or fewer skip_rows"
             )
-        found = None if label is None else self._labels(label, labels, known)
+        found = None if label is None else text_array(self.path, self.names[label], labels)
         at = np.concatenate(lines)
         blank = int(at[-1]) - self.first + 1 - count - sum(line < at[-1] for line in between.found)
         notes = (
@@ -175,16 +174,6 @@ class TextColumns:
         self._unclear(read, plain, int(at[-1]) - self.first + 1)
         table, more = self._joined(read, places, {k: np.concatenate(v) for k, v in times.items()})
         return Cells(table, found, at, (*notes, *more), doubts=doubts)
-
-    def _labels(self, place: int, labels: list[str], known: Iterable[str]) -> NDArray[np.generic]:
-        """Return the texts of a column as an array; RunError if the longest makes it too large."""
-        longest = max(map(len, known), default=0)
-        if longest * len(labels) > _MOST_LETTERS:
-            raise RunError(
-                f"{self.path}: column {self.names[place]}: its longest text has {longest} "
-                f"characters, too many for names in {len(labels)} rows; name another column"
-            )
-        return np.array(labels)
 
     def _cut(self, recent: list[str], line: int) -> tuple[str, ...]:
         """Return a doubt if the file ends, or seems to end, within its last cell."""
@@ -501,13 +490,8 @@ def open_text(
     Raises:
         RunError: the file is absent, too large, not text, empty, or lacks an expected header.
     """
-    start = table_lines(path, skip_rows)
-    table = find_table(without_heads(start), delimiter, EMPTY)
-    hidden = 0  # lines above those that are searched now
-    if (late := late_table(path, table, start, delimiter, skip_rows)) is not None:
-        skip_rows, hidden = skip_rows + late.lines, late.counted
-        start = table_lines(path, skip_rows)
-        table = find_table(without_heads(start), delimiter, EMPTY)
+    found = search(path, delimiter, skip_rows)
+    start, table, skip_rows = found.lines, found.table, found.skipped
     at = next(k for k, line in enumerate(start) if not is_remark(line))
     if table is None:  # no line of numbers: assume that the first line holds the names
         cut = delimiter or find_delimiter(start[at])
@@ -525,7 +509,7 @@ def open_text(
         )
         names = [str(k) for k in range(table.width)]
     head = start[: first if table.header is None else table.header]
-    skipped = hidden + sum(not is_remark(line) for line in head)
+    skipped = found.hidden + sum(not is_remark(line) for line in head)
     notes = [f"lines above the table were skipped: {skipped}"] if skipped else []
     notes += ["the line below the header is units"] if table.units and header is not False else []
     if table.fewest < table.width:
