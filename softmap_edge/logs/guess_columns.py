@@ -31,7 +31,7 @@ from softmap_edge.logs.readers.kinds import RECORDINGS
 from softmap_edge.logs.readers.mcap_file import Topic
 from softmap_edge.logs.readers.paced import PacedColumns
 from softmap_edge.logs.readers.parquet_log import EPISODE, open_parquet
-from softmap_edge.logs.readers.pivoted import pivoted
+from softmap_edge.logs.readers.pivoted import PivotedColumns, pivoted
 from softmap_edge.logs.readers.stated_rate import stated_rate
 from softmap_edge.logs.readers.text import TextColumns
 from softmap_edge.logs.readers.unit_cells import refuse_unit_cells
@@ -270,7 +270,7 @@ def _sheet(part: Part, columns: Columns, which: list[int]) -> Sheet:
             columns.fewest or len(columns.names),
         )
         columns = replace(columns, skip_last=len(below))
-    if isinstance(columns, TextColumns | PacedColumns):
+    if isinstance(columns, TextColumns | PacedColumns | PivotedColumns):
         texts = columns.texts(200)
         refuse_unit_cells(part.path, texts)
         clocks = {columns.names[k]: clock.form for k, clock in columns.clocks.items()}

@@ -306,3 +306,24 @@ def test_a_name_of_a_whole_page_is_refused_before_memory_is_taken(tmp_path):
     path = written(tmp_path, "t,marker,x,y,z,u1,u2", rows)
     with pytest.raises(RunError, match="its longest text has 300000 characters"):
         imported(path, MAP)
+
+
+def test_markers_in_a_plane_with_labels_of_the_protocol(tmp_path):
+    rows = [
+        f'{T[k]:.3f},"tag {m}, left",{PLACES[k, m, 0]},{PLACES[k, m, 2]},{U[k, 0]:.3f},{"ab"[k // 20]}'
+        for k, m in BY_FRAME
+    ]
+    path = written(tmp_path, "t,tag,x,y,u1,phase", rows)
+    run = imported(path, guess_mapping([path]).text).run
+    assert run.markers.shape == (FRAMES, MARKERS, 3) and str(run.extra["plane"]) in "xyz"
+    assert run.block.tolist() == ["a"] * 20 + ["b"] * 20
+
+
+def test_parts_of_a_long_table(tmp_path):
+    head, rows = MAKES["a name, and commands repeated"]
+    paths = [tmp_path / "run_1.csv", tmp_path / "run_2.csv"]
+    for path, part in zip(paths, (rows[:60], rows[60:])):
+        path.write_text("\n".join([head, *part]) + "\n")
+    text = guess_mapping(paths).text
+    run = import_logs(paths, parse_mapping(text, paths[0])).run
+    assert run.markers.shape == (FRAMES, MARKERS, 3)

@@ -21,6 +21,8 @@ from softmap_edge.errors import RunError
 from softmap_edge.files.printable import listed
 from softmap_edge.logs.readers.cells import is_number
 from softmap_edge.logs.readers.columns import Array, Cells, Columns
+from softmap_edge.logs.readers.paced import PacedColumns
+from softmap_edge.logs.readers.text import TextColumns
 from softmap_edge.logs.time_text import TimeText
 
 MOST_MARKERS = 1000
@@ -89,6 +91,11 @@ class PivotedColumns:
     def head_line(self) -> int | None:
         """The line number of the column names."""
         return self.inner.head_line
+
+    def texts(self, rows: int) -> dict[str, list[str]]:
+        """Return the text columns of the first rows of the file, with their text."""
+        inner = self.inner
+        return inner.texts(rows) if isinstance(inner, TextColumns | PacedColumns) else {}
 
     def places_of(self, own: list[int]) -> list[int]:
         """Return the positions of each marker's columns, from their positions in the file."""
