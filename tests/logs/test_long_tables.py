@@ -301,7 +301,7 @@ def test_too_many_names_are_no_markers(tmp_path):
         imported(path, MAP)
 
 
-def test_a_name_of_a_whole_page_is_refused_before_memory_is_taken(tmp_path):
+def test_a_name_as_long_as_a_book_is_refused_before_memory_is_taken(tmp_path):
     rows = [f"{T[k % FRAMES]:.3f},{'m' * 300_000 if k == 5 else 'm'},0,0,0,1,1" for k in range(999)]
     path = written(tmp_path, "t,marker,x,y,z,u1,u2", rows)
     with pytest.raises(RunError, match="its longest text has 300000 characters"):
