@@ -327,3 +327,10 @@ def test_parts_of_a_long_table(tmp_path):
     text = guess_mapping(paths).text
     run = import_logs(paths, parse_mapping(text, paths[0])).run
     assert run.markers.shape == (FRAMES, MARKERS, 3)
+
+
+@pytest.mark.parametrize("head", ["t,marker,x,x,z,u1,u2", "t,marker,x,y,z,m1.x,u2"])
+def test_names_that_would_be_there_twice_are_refused(tmp_path, head):
+    path = written(tmp_path, head, MAKES["a name, and commands repeated"][1])
+    with pytest.raises(RunError, match="two columns would be called 'm[01].x'"):
+        imported(path, MAP)

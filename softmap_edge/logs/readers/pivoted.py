@@ -205,7 +205,14 @@ def pivoted(columns: Columns, path: Path, frame: list[int], marker: list[int]) -
         for name in called
         for place in own
     ]
-    return PivotedColumns(path, columns, layout, own, [*columns.names, *added])
+    names = [*columns.names, *added]
+    if len({*names}) < len(added) + len({*columns.names}):
+        twice = next(name for name in added if names.count(name) > 1)
+        raise RunError(
+            f"{path}: two columns would be called '{twice[:60]}' as one row for each frame; rename "
+            "a column or a marker in the log"
+        )
+    return PivotedColumns(path, columns, layout, own, names)
 
 
 def frames_of(instant: Rows, code: Rows, count: int) -> Rows:
