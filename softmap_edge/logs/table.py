@@ -142,6 +142,11 @@ def _opened(path: Path, log: Log | None) -> Columns:
     delimiter, decimal = (None, None) if log is None else (log.delimiter, log.decimal)
     order = None if log is None else log.clock.date_order
     if kind == "jsonl":
+        if log is not None and (delimiter is not None or decimal is not None or not log.header):
+            raise RunError(
+                f"{path}: delimiter, decimal and header are for tables, and this log is JSON "
+                "Lines, whose keys are the names; leave them out"
+            )
         return open_json_lines(path, skip_rows, skip_last, order)
     if kind == "lvm" and not skip_rows:
         return open_lvm(path, header, order)

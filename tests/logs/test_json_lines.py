@@ -118,6 +118,21 @@ def test_a_packed_log(tmp_path):
     assert imported(packed).run.command == pytest.approx(U)
 
 
+@pytest.mark.parametrize("key", ['delimiter = ";"', 'decimal = ","', "header = false"])
+def test_keys_of_tables_are_refused(tmp_path, key):
+    path = written(tmp_path, (json.dumps(MAKES["flat"](k)) for k in range(K)))
+    text = guess_mapping([path]).text.replace("[[log]]", f"[[log]]\n{key}")
+    with pytest.raises(RunError, match="are for tables, and this log is JSON Lines"):
+        import_logs([path], parse_mapping(text, path))
+
+
+def test_lines_and_rows_can_be_left_out(tmp_path):
+    path = written(tmp_path, (json.dumps(MAKES["flat"](k)) for k in range(K)))
+    keys = "[[log]]\nskip_rows = 3\nskip_last_rows = 2"
+    text = guess_mapping([path]).text.replace("[[log]]", keys)
+    assert len(import_logs([path], parse_mapping(text, path)).run.t) == K - 5
+
+
 def nested(levels):
     return '{"a":' * levels + "1" + "}" * levels
 
