@@ -33,6 +33,7 @@ _REGULAR = 0.2  # of the usual step: largest jitter of a regular clock
 # times the 95th percentile of the steps: longest step that a roll-over may leave
 _SLOWEST = 3.0
 BITS = (16, 24, 32)  # bits of counters that roll over
+_PIVOT = "set pivot = { frame = …, marker = … }"  # of a long table
 _LISTED = 5  # steps of a clock that are listed
 
 
@@ -54,16 +55,22 @@ class Times:
 
 
 def times_of(
-    path: Path, where: str, cells: Cells, t: Array, clock: Clock, clocks: Sequence[int] = ()
+    path: Path,
+    where: str,
+    cells: Cells,
+    t: Array,
+    clock: Clock,
+    clocks: Sequence[int] = (),
+    pivoted: bool = False,
 ) -> Times:
     """Return the times of the rows of a log.
 
     Args:
-        where: the word for a row in this log: line, frame, message.
         where: the name of a row in this log: line, frame, message.
         t: (rows,) s as in the log; NaN where missing.
         clock: the time declared by the mapping.
         clocks: which of these columns hold time.
+        pivoted: whether the mapping has a `pivot`; else it may be the remedy.
 
     Raises:
         RunError: a row has values but no time, or time does not increase and the mapping declares
@@ -101,7 +108,7 @@ def times_of(
         if not fresh.all():
             _report_dropped(t, fresh, row, find_steps(t, values(cells), clock), notes, doubts)
             t, cells, row = t[fresh], kept(cells, fresh), row[fresh]
-    _refuse_falls(path, where, t, values(cells), cells.lines, row, clock)
+    _refuse_falls(path, where, t, values(cells), cells.lines, row, clock, pivoted)
     if clock.repeated == "spread" and (shared := int((np.diff(t) == 0).sum())):
         doubts.append(
             f"t: {shared} of {len(t)} rows share a time with the row before and were spread "
@@ -176,7 +183,7 @@ def _report_dropped(
         notes.append(f"{lost} rows whose time does not increase were dropped")
         return
     at = int(np.argmin(fresh))
-    cause = _way_out(t, row, at, jump)
+    cause = _way_out(t, row, at, jump, True)
     doubts.append(
         f't: time.repeated = "drop" leaves out {lost} of {len(fresh)} rows ({100 * share:.0f} %), '
         f"from row {row[at]} on; {cause}"
@@ -290,6 +297,7 @@ def _refuse_falls(
     lines: NDArray[np.int64],
     row: NDArray[np.int64],
     clock: Clock,
+    pivoted: bool,
 ) -> None:
     """Raise RunError with cause and remedy if time does not increase."""
     step = np.diff(t)
@@ -303,24 +311,26 @@ def _refuse_falls(
     raise RunError(
         f"{path}: time {'goes backwards' if back else 'stands still'} at row {row[at]} ({where} "
         f"{lines[at]}: {now} s after {before} s), {int(late.sum())} such rows; "
-        f"{_way_out(t, row, at, jump)}"
+        f"{_way_out(t, row, at, jump, pivoted)}"
     )
 
 
-def _way_out(t: Array, row: NDArray[np.int64], at: int, jump: Jump | None) -> str:
+def _way_out(t: Array, row: NDArray[np.int64], at: int, jump: Jump | None, pivoted: bool) -> str:
     if jump is not None and jump.period_s is not None:
         return (
             f"the clock rolls over at {jump.period} ({jump.period_s:.10g} s): "
             'set time.jumps = "mend" to count on'
         )
+    again = t[at] == t[0] and at > 1 and not pivoted
+    stacked = f"; {_PIVOT} if the log lists one marker after another" if again else ""
     cut = f"import the log in two parts, to_row = {row[at - 1]} and from_row = {row[at]}"
     if jump is not None and len(jump.rows) > 1:
-        return _steps(row, jump, usual_step(t))
+        return _steps(row, jump, usual_step(t)) + stacked
     if jump is not None:
         size = usual_step(t) - jump.size_s[0]
         return (
             f"the clock was set back by about {size:.6g} s: "
-            f'set time.jumps = "mend" to take the step out, or {cut}'
+            f'set time.jumps = "mend" to take the step out, or {cut}{stacked}'
         )
     ways = []
     lost = int((~increasing(t)).sum())
@@ -328,9 +338,10 @@ def _way_out(t: Array, row: NDArray[np.int64], at: int, jump: Jump | None) -> st
         ways.append(f'set time.repeated = "drop" to leave {lost} of {len(t)} rows out')
     if not (np.diff(t) < 0).any():
         ways.append('set time.repeated = "spread" to place rows of one time evenly up to the next')
+        ways += [] if pivoted else [f"{_PIVOT} if the log has a row for each marker"]
     if not ways:
         ways = ["the rows are not in the order of time: choose another column", cut]
-    return ", or ".join(ways)
+    return ", or ".join(ways) + stacked
 
 
 def _steps(row: NDArray[np.int64], jump: Jump, usual: float) -> str:

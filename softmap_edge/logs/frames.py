@@ -15,6 +15,7 @@ from softmap_edge.files.atomic import Document
 from softmap_edge.logs.held import LONGEST_HOLD, repeated_frames
 from softmap_edge.logs.mapping import FILE, LENGTH, Log, Mapping, Quantity
 from softmap_edge.logs.measured import Column, Measured
+from softmap_edge.logs.mixed_units import places_question
 from softmap_edge.logs.never_seen import at_one_number, never_seen
 from softmap_edge.logs.not_seen import declared, not_seen
 from softmap_edge.logs.other_units import doubts_of_units
@@ -285,7 +286,11 @@ def _few(lines: list[str]) -> list[str]:
 
 @np.errstate(invalid="ignore")  # a signalling NaN of a damaged file counts as NaN
 def _points(table: LogTable, quantity: Quantity, doubts: list[str], name: str = "markers") -> Array:
-    """Return points (K, M, 3) mm in the log's frame; `name` is their key in the mapping."""
+    """Return points (K, M, 3) mm in the log's frame; `name` is their key in the mapping.
+
+    Raises:
+        RunError: some seem to be in another unit than the others, and the mapping has no `scale`.
+    """
     units = [quantity.unit] * len(quantity.columns)
     if quantity.unit == FILE:  # of a line of units, or of the format; each marker has its own
         stated = [table.unit(column) for column in quantity.columns[:: quantity.axes]]
@@ -302,6 +307,9 @@ def _points(table: LogTable, quantity: Quantity, doubts: list[str], name: str = 
     if quantity.axes < 3:  # a plane: the third coordinate is not measured
         points = np.concatenate([points, np.zeros((*points.shape[:2], 1))], axis=2)
     if not other:
+        question = None if quantity.scaled else places_question(points, quantity.labels)
+        if question is not None:
+            raise RunError(f"{table.path}: {name}: {question}")
         doubts += doubts_of_points(points, unit, name)
     return points
 

@@ -109,6 +109,9 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
             found.assumed.append(
                 f"columns of {_called(sheet)}: no line names them, so they are numbers from 0"
             )
+        if sheet.why:
+            lines = found.unknown if sheet.pivot is None else found.assumed
+            lines.append(f"rows of {_called(sheet)}: {sheet.why}")
         time = found.times[k] = time_of(sheet, alone=len(sheets) == 1)
         found.assumed.append(f"time of {_called(sheet)}: {time.why}")
         found.unknown += [time.doubt] if time.doubt else []

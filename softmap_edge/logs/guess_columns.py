@@ -19,8 +19,10 @@ from numpy.typing import NDArray
 from softmap_edge.errors import RunError
 from softmap_edge.logs.fills import LARGEST, marked_missing
 from softmap_edge.logs.flags import REASON, are_flags, flags_of, named_so, words_of
+from softmap_edge.logs.guess_pivot import find_long
 from softmap_edge.logs.mapping import LENGTH, UNITS
 from softmap_edge.logs.numbered import without_numbers
+from softmap_edge.logs.pivot import Pivot
 from softmap_edge.logs.plausible import ROBOT
 from softmap_edge.logs.readers.arrays import ArrayColumns
 from softmap_edge.logs.readers.columns import Columns, HeldColumns
@@ -29,6 +31,7 @@ from softmap_edge.logs.readers.kinds import RECORDINGS
 from softmap_edge.logs.readers.mcap_file import Topic
 from softmap_edge.logs.readers.paced import PacedColumns
 from softmap_edge.logs.readers.parquet_log import EPISODE, open_parquet
+from softmap_edge.logs.readers.pivoted import PivotedColumns, pivoted
 from softmap_edge.logs.readers.stated_rate import stated_rate
 from softmap_edge.logs.readers.text import TextColumns
 from softmap_edge.logs.readers.unit_cells import refuse_unit_cells
@@ -114,6 +117,8 @@ class Sheet:
     parts: int = 1  # files of the log
     more: tuple[str, ...] = ()  # the `file` of further parts that no common pattern names
     booleans: frozenset[str] = frozenset()  # columns that the file holds as booleans
+    pivot: Pivot | None = None  # of a long table, whose rows are frames here
+    why: str = ""  # what shows that it is one, or may be one
 
     def column(self, name: str) -> Array:
         """Return the numbers of a column."""
@@ -169,7 +174,45 @@ def _sheets_of(group: list[Part]) -> list[Sheet]:
         )
         if isinstance(columns, ArrayColumns):
             return [_sheet(first, columns, places) for places in columns.groups()[:_MOST_LENGTHS]]
-        return [_sheet(first, columns, list(range(len(columns.names))))]
+        sheet = _sheet(first, columns, list(range(len(columns.names))))
+        return [_turned(first, columns, sheet)]
+
+
+def _turned(part: Part, columns: Columns, sheet: Sheet) -> Sheet:
+    """Return the sheet of a log; a long table as one row for each frame."""
+    if isinstance(columns, TextColumns):
+        columns = replace(columns, skip_last=len(sheet.below), names=sheet.names)
+    long = find_long(sheet, columns)
+    if long is None:
+        return sheet
+    if not long.sure:
+        remedy = f"if so, write {long.pivot.line()} below [[log]] and name the columns of each"
+        return replace(sheet, why=f"whether they are {long.why}; {remedy}")
+    places = [sheet.names.index(str(name)) for name in (*long.pivot.frame, *long.pivot.marker)]
+    count = len(long.pivot.frame)
+    wide = pivoted(columns, part.file, places[:count], places[count:])
+    own = [sheet.names.index(name) for name in long.own]
+    which = [*map(sheet.names.index, long.shared), *wide.places_of(own)]
+    turned = _sheet(part, wide, sorted(which))
+    names = [_name(sheet, str(name)) for name in long.pivot.frame]
+    pivot = Pivot(tuple(names), tuple(_name(sheet, str(name)) for name in long.pivot.marker))
+    return replace(
+        sheet,
+        names=turned.names,
+        bare=turned.bare,
+        units=turned.units,
+        numbers=turned.numbers,
+        texts={name: texts for name, texts in sheet.texts.items() if name in long.shared},
+        stated=wide.odd_units or {},
+        pivot=pivot,
+        why=long.why,
+    )
+
+
+def _name(sheet: Sheet, name: str) -> str | int:
+    """Return a column as in a mapping: by number if its name repeats."""
+    k = sheet.names.index(name)
+    return k if sheet.bare.count(sheet.bare[k]) > 1 else name
 
 
 def _sheets_of_recording(group: list[Part]) -> list[Sheet]:
@@ -227,7 +270,7 @@ def _sheet(part: Part, columns: Columns, which: list[int]) -> Sheet:
             columns.fewest or len(columns.names),
         )
         columns = replace(columns, skip_last=len(below))
-    if isinstance(columns, TextColumns | PacedColumns):
+    if isinstance(columns, TextColumns | PacedColumns | PivotedColumns):
         texts = columns.texts(200)
         refuse_unit_cells(part.path, texts)
         clocks = {columns.names[k]: clock.form for k, clock in columns.clocks.items()}

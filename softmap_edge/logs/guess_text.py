@@ -105,6 +105,7 @@ def _head(sheet: Sheet, files: int) -> list[str]:
     if sheet.below:
         what = one_line(sheet.below[0].strip()[:40])
         lines.append(f"skip_last_rows = {len(sheet.below)}   # no rows: '{what}'")
+    lines += [] if sheet.pivot is None else [sheet.pivot.line()]
     return lines + ([] if sheet.header else ["header = false   # columns are numbers from 0"])
 
 

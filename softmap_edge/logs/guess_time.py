@@ -273,7 +273,8 @@ def _of_column(sheet: Sheet, name: str) -> TimeFound:
     keys += [
         key for key in _repeated(known) if not any(other.startswith("repeated") for other in keys)
     ]
-    calendar = name in sheet.clocks or float(np.abs(known).max()) * seconds > 1e8
+    dated = sheet.clocks.get(name, "count") != "count"
+    calendar = dated or float(np.abs(known).max()) * seconds > 1e8
     line = f"time = {{ {', '.join(keys)} }}"
     if not doubt and name not in sheet.clocks and _like_digits(known):
         doubt = (
@@ -308,8 +309,11 @@ def _repeated(known: Array) -> list[str]:
 def _scale(sheet: Sheet, name: str) -> tuple[float, tuple[str, str]]:
     """Return the s per unit of a column, the unit (`rows` for a counter), and the reason."""
     if name in sheet.clocks:
-        what = "times of day" if sheet.clocks[name] == "day" else "dates"
-        return 1.0, ("s", f"it holds {what}, read as seconds")
+        what = {
+            "day": "times of day, read as seconds",
+            "count": "seconds, with a count of their fractions behind the point",
+        }
+        return 1.0, ("s", f"it holds {what.get(sheet.clocks[name], 'dates, read as seconds')}")
     unit, why = _unit(sheet, name)
     return (1.0 / (sheet.rate_hz or RATE_HZ) if unit == "rows" else TIME[unit]), (unit, why)
 

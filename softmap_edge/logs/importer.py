@@ -30,6 +30,7 @@ from softmap_edge.logs.column_roles import doubts_of_roles
 from softmap_edge.logs.frames import choose_frames, seen
 from softmap_edge.logs.held import unhold
 from softmap_edge.logs.mapping import ANGLE, LENGTH, Mapping, Quantity, read_mapping
+from softmap_edge.logs.mixed_units import drives_question
 from softmap_edge.logs.other_units import doubts_of_units
 from softmap_edge.logs.plausible import (
     doubts_of_base,
@@ -45,6 +46,7 @@ from softmap_edge.logs.time_names import is_time_name
 from softmap_edge.logs.unwrap import counted_on
 from softmap_edge.run.fields import ROW_S
 from softmap_edge.run.plane import AXES, PLANE
+from softmap_edge.run.rollover import DRIVES
 from softmap_edge.run.run import DAMAGE, NO_COMMANDS, NOT_SEEN, SPOOL_RADIUS, Run
 
 __all__ = ["Imported", "Mapping", "import_logs", "read_mapping", "unhold"]
@@ -280,6 +282,9 @@ def _command_rows(
                 name, tables[k], counted_on(name, tables[k], quantity, notes, doubts)
             )
             other = doubts_of_units(name, tables[k], quantity)
+            question = None if other else _mixed(name, tables[k], quantity, values)
+            if question is not None:
+                raise RunError(f"{tables[k].path}: {question}")
             doubts += other or doubts_of_rows(name, values, quantity)
             doubts += doubts_of_unread(name, values, quantity)
             values = _convert(name, values, quantity, mapping)
@@ -303,6 +308,13 @@ def _command_rows(
             "or `ticks` as well"
         )
     return t
+
+
+def _mixed(name: str, table: LogTable, quantity: Quantity, values: Array) -> str | None:
+    """Return what to ask about drives (T, C) in different units; None if there is no question."""
+    if name not in DRIVES or quantity.scaled:
+        return None
+    return drives_question(name, values, [table.name(column) for column in quantity.columns])
 
 
 def _filled(name: str, table: LogTable, values: Array) -> tuple[Array, Array]:

@@ -27,6 +27,8 @@ from softmap_edge.logs.measured import (
     per_column,
     scale_of,
 )
+from softmap_edge.logs.pivot import KEY as PIVOT
+from softmap_edge.logs.pivot import Pivot, pivot_of
 from softmap_edge.logs.time_keys import NO_TIME as NO_TIME
 from softmap_edge.logs.time_keys import TIME as TIME
 from softmap_edge.logs.time_keys import Clock as Clock
@@ -59,6 +61,7 @@ KEYS = (
 LOG = (
     *("file", "topic", "episode", "delimiter", "decimal", "header"),
     *("skip_rows", "skip_last_rows", "from_row", "to_row", "time", "block", "output"),
+    PIVOT,
 )
 QUANTITY = ("columns", "unit", "scale", "offset", "spool_radius_mm", "held")
 CONSTANTS = (
@@ -84,6 +87,7 @@ class Quantity:
     axes: int = 3  # coordinates of a marker: 2 in a plane
     # (columns,) size of a turn after which each rolls over, in the log's unit
     unwrap: Array | None = None
+    scaled: bool = False  # whether the mapping gives `scale`
 
 
 @dataclass(frozen=True)
@@ -106,6 +110,7 @@ class Log:
     episode: int | None = None
     from_row: int = 0  # first row that is read, counted from 0
     to_row: int | None = None
+    pivot: Pivot | None = None  # of a table with one row for each marker
 
 
 @dataclass(frozen=True)
@@ -311,6 +316,7 @@ def _log(table: TomlTable, command_unit: str) -> Log:
         episode=table.integer("episode", None, 0, 10**9),
         from_row=table.integer("from_row", 0, 0, 10**9) or 0,
         to_row=table.integer("to_row", None, 0, 10**9),
+        pivot=pivot_of(table),
     )
     if log.decimal == "," and log.delimiter == ",":
         raise RunError(
@@ -402,6 +408,7 @@ def _quantity(log: TomlTable, name: str, command_unit: str) -> Quantity:
         not_seen=not_seen_of(table) if name in POINTS else (),
         axes=axes if name in POINTS else 1,
         unwrap=_unwrap(table, len(flat)) if name in DRIVES and "unwrap" in table.values else None,
+        scaled="scale" in table.values,
     )
 
 

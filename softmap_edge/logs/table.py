@@ -23,11 +23,13 @@ from softmap_edge.logs.measured import Column
 from softmap_edge.logs.other_units import doubts_of_clock
 from softmap_edge.logs.readers.cells import find_delimiter
 from softmap_edge.logs.readers.columns import Array, Cells, Columns
+from softmap_edge.logs.readers.json_lines import open_json_lines
 from softmap_edge.logs.readers.kinds import ARRAYS, kind_of
 from softmap_edge.logs.readers.matlab_file import open_hdf5, open_matlab
 from softmap_edge.logs.readers.mocap import open_motive, open_trc
 from softmap_edge.logs.readers.npz_log import open_npz
 from softmap_edge.logs.readers.parquet_log import open_parquet
+from softmap_edge.logs.readers.pivoted import PivotedColumns, pivoted
 from softmap_edge.logs.readers.rosbag_sqlite import open_db3
 from softmap_edge.logs.readers.text import TextColumns, open_text
 from softmap_edge.logs.readers.typed_rows import open_typed
@@ -98,6 +100,21 @@ def open_log(path: Path, log: Log | None = None) -> Columns:
     Raises:
         RunError: it is absent or damaged, or has an unsupported format.
     """
+    columns = _opened(path, log)
+    if log is None or log.pivot is None:
+        return columns
+    frame, marker = log.pivot.frame, log.pivot.marker
+    _all_there(path, columns, [*frame, *marker], log.delimiter)
+    return pivoted(
+        columns,
+        path,
+        [place(path, columns.names, column) for column in frame],
+        [place(path, columns.names, column) for column in marker],
+    )
+
+
+def _opened(path: Path, log: Log | None) -> Columns:
+    """Open a log as its file holds it."""
     kind = kind_of(path)
     if kind == "c3d":
         from softmap_edge.logs.readers.c3d_file import open_c3d
@@ -124,6 +141,13 @@ def open_log(path: Path, log: Log | None = None) -> Columns:
     )
     delimiter, decimal = (None, None) if log is None else (log.delimiter, log.decimal)
     order = None if log is None else log.clock.date_order
+    if kind == "jsonl":
+        if log is not None and (delimiter is not None or decimal is not None or not log.header):
+            raise RunError(
+                f"{path}: delimiter, decimal and header are for tables, and this log is JSON "
+                "Lines, whose keys are the names; leave them out"
+            )
+        return open_json_lines(path, skip_rows, skip_last, order)
     if kind == "lvm" and not skip_rows:
         return open_lvm(path, header, order)
     return open_text(path, delimiter, decimal, header, skip_rows, skip_last, order)
@@ -164,13 +188,12 @@ def read_log(path: Path, log: Log, columns: Columns | None = None) -> LogTable:
     _within_reason(path, columns.where, cells, places, names)
     cells, aside = _set_aside(columns.where, cells, [places.index(clock) for clock in clocks])
     t = raw_times(path, columns, cells, places, log.clock)
-    times = times_of(
-        path, columns.where, cells, t, log.clock, [places.index(clock) for clock in clocks]
-    )
+    at = [places.index(clock) for clock in clocks]
+    times = times_of(path, columns.where, cells, t, log.clock, at, log.pivot is not None)
     values = dict(zip(places, times.cells.numbers.T))
     doubts = (*lacks, *cells.doubts, *times.doubts, *_assumed(log.clock, len(times.t)))
     notes = (*cells.notes, *aside, *times.notes)
-    odd = columns.odd_units if isinstance(columns, TextColumns) else None
+    odd = columns.odd_units if isinstance(columns, TextColumns | PivotedColumns) else None
     table = LogTable(
         path, times.t, names, columns.units, values, times.cells.labels, notes, doubts, odd
     )

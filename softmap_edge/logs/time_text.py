@@ -8,6 +8,7 @@
 | `named` | `07-May-2031 10:15:00`, `7. Mai 2031 10:15:00`, `Wed May  7 10:15:00 2031` | 1970 |
 | packed | `310507101500.05`, `20310507101500`, `101500.05` | as a date or a time of day |
 | `day` | `10:15:00.050`, `15:00.05` (minutes and seconds) | midnight, or the full hour |
+| `count` | `1700000000.50` (seconds, a point, a count of us or ns without leading zeros) | as the log |
 
 Days with dots are day.month.year. Others are read in both orders; a value above 12 or the sequence
 of the rows decides (`TimeText.settle`). A time of day that falls by most of its period has passed
@@ -111,7 +112,8 @@ _PACKED = {
     "day": _compiled(
         r"(?P<h>\d{1,2})(?P<mi>\d{2})(?P<s>\d{2})(?:[.,](?P<f>\d{1,12}))?",
     ),
-}  # dates and times of day whose digits stand without separators
+    "count": _compiled(r"(?P<whole>\d{1,12})(?:[.,](?P<f>\d{1,9}))?"),
+}  # dates and times of day whose digits stand without separators, and seconds with a count
 
 
 class TimeTextError(ValueError):
@@ -123,7 +125,7 @@ class TimeText:
     """The format of the times in one column.
 
     Attributes:
-        form: `ymd`, `local`, `named` or `day`.
+        form: `ymd`, `local`, `named`, `day` or `count`.
         order: `dmy` or `mdy` of local dates; None where the rows decide.
         period: s after which a time of day begins again; 0 of a date.
         packed: whether its digits stand without separators, as in `240305125950.5`.
@@ -174,7 +176,7 @@ class TimeText:
         """
         seconds, note = self._settled(both)
         notes = [note] if note is not None else []
-        if self.packed:
+        if self.packed and self.form != "count":
             digits = "HHMMSS" if self.form == "day" else "yymmddHHMMSS or yyyymmddHHMMSS"
             notes.append(f"the digits are read as {digits}")
         if self.unpadded:
@@ -200,6 +202,7 @@ class TimeText:
             "ymd": "date (year-month-day)",
             "local": "date",
             "named": "date with the name of a month",
+            "count": "number of seconds with a count of fractions",
         }
         return names.get(self.form, "time of day (hours:minutes:seconds)")
 
@@ -353,7 +356,7 @@ def seconds_of(
 ) -> tuple[float, float]:
     """Return the seconds of one time in both day-month orders; NaN for an impossible day."""
     part = found.groupdict()
-    of_day = _of_day(part, unpadded)
+    of_day = float(part.get("whole") or 0) + _of_day(part, unpadded)
     if part.get("y") is None:
         return of_day, of_day
     key = (part["a"], part.get("b") or part["name"], part["y"], "name" if part.get("name") else "")

@@ -1,7 +1,8 @@
 """Find the columns of dates and times in the first rows of a text log, and how they are written.
 
 Columns of numbers may hold the digits of a date without separators (`240305125950.5`). Fractions
-of a second may be counts without leading zeros (`12:59:50.50` is 50 ms). The rows decide both.
+of a second may be counts without leading zeros (`12:59:50.50` is 50 ms, and `12.50` may be 12 s and
+50 us). The rows decide all of it.
 Pinned by tests/logs/test_time_text.py.
 """
 
@@ -31,6 +32,8 @@ _ROWS = 3  # that show how digits without separators are read
 _MINUTE_LEAP = 40.0  # from 59 to 100, less the second that passes
 _FEWER = 10  # times fewer falls: the right reading of fractions
 _HOURS = re.compile(r"[012]?\d[0-5]\d[0-5]\d([.,]\d+)?")  # `125950.5`
+_COUNTED = re.compile(r"([0-9]{1,12})(?:[.,]([0-9]{1,9}))?")  # `12.5`
+_COUNT = TimeText("count", packed=True)
 Rows = Callable[[int], list[list[str]]]  # the cells of so many first rows
 
 
@@ -47,7 +50,8 @@ def clocks_of(first_rows: Rows, order: str | None) -> dict[int, TimeText]:
         clock = packed_of(cells) if all(map(is_number, cells)) else time_text_of(cells, order)
         if clock is not None:
             clocks[place] = clock
-    if clocks or any(map(_like_hours, filled.values())):
+    counted = [place for place, cells in filled.items() if _like_counts(cells)]
+    if clocks or counted or any(map(_like_hours, filled.values())):
         filled = _filled(first_rows(_MORE))
     for place, cells in filled.items():
         if place in clocks and not clocks[place].packed:
@@ -56,6 +60,9 @@ def clocks_of(first_rows: Rows, order: str | None) -> dict[int, TimeText]:
         elif place in clocks or _like_hours(cells):
             clock = packed_of(cells)
             clocks |= {place: clock} if clock is not None else {}
+        if place in counted and place not in clocks:
+            digits = unpadded_of(_COUNT, cells) if _like_counts(cells) else 0
+            clocks |= {place: replace(_COUNT, unpadded=digits)} if digits else {}
     return clocks
 
 
@@ -70,6 +77,23 @@ def _filled(rows: list[list[str]]) -> dict[int, list[str]]:
 def _like_hours(cells: list[str]) -> bool:
     """Return whether the first and last numbers of a column may be times of day as digits."""
     return len(cells) > _ROWS and all(_HOURS.fullmatch(cells[k]) for k in (0, 1, -1))
+
+
+def _like_counts(cells: list[str]) -> bool:
+    """Return whether numbers may be seconds with a count of fractions: `12.5` is 12 s and 5 us.
+
+    Then full seconds rise, and the digits of the fractions vary in number without leading zeros.
+    """
+    found = [_COUNTED.fullmatch(cell) for cell in cells]
+    parts = [one.groups() for one in found if one is not None]
+    if len(parts) <= _ROWS or len(parts) < len(cells):
+        return False
+    tails = [tail for _, tail in parts if tail is not None]
+    return (
+        len(set(map(len, tails))) > 1
+        and not any(tail[0] == "0" and tail != "0" for tail in tails)
+        and bool((np.diff([float(whole) for whole, _ in parts]) >= 0).all())
+    )
 
 
 def packed_of(cells: Sequence[str]) -> TimeText | None:

@@ -9,10 +9,13 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.errors import RunError
+
 if TYPE_CHECKING:
     from softmap_edge.logs.time_text import TimeText
 
 Array = NDArray[np.float64]
+_MOST_LETTERS = 2**28  # of an array of texts: 1 GiB
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,21 @@ class Columns(Protocol):
 
     def read(self, places: list[int], label: int | None = None, rows: int | None = None) -> Cells:
         """Return the cells of columns by position; `rows` limits the number of rows read."""
+
+
+def text_array(path: Path, name: str, texts: list[str]) -> NDArray[np.generic]:
+    """Return the texts of a column as an array, where each takes the room of the longest.
+
+    Raises:
+        RunError: that is too much.
+    """
+    longest = max(map(len, texts), default=0)
+    if longest * len(texts) > _MOST_LETTERS:
+        raise RunError(
+            f"{path}: column {name}: its longest text has {longest} characters, too many for "
+            f"labels of {len(texts)} rows; name another column"
+        )
+    return np.array(texts)
 
 
 def quiet(numbers: Array) -> Array:

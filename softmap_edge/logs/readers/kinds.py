@@ -13,6 +13,7 @@ from pathlib import Path
 from softmap_edge.errors import RunError
 from softmap_edge.files.npz import check_directory
 from softmap_edge.logs.readers.encoding import encoding_of_start, is_wide
+from softmap_edge.logs.readers.json_lines import WAY_OUT, is_json, is_json_lines
 from softmap_edge.logs.readers.mcap_file import MAGIC
 from softmap_edge.logs.readers.mocap import is_motive, is_trc
 from softmap_edge.logs.readers.packed import GZIP, ZSTD, skipped_frames
@@ -47,6 +48,7 @@ _TEXTS = {
     "nexus": is_nexus,
     "lvm": is_lvm,
     "typed": is_typed,
+    "jsonl": is_json_lines,
 }
 _CONVERT_BAG = "`rosbags-convert --src {file} --dst FOLDER` (pip install rosbags)"
 _BAG = f"a ROS 1 bag: convert it with {_CONVERT_BAG}"
@@ -94,7 +96,7 @@ def kind_of(path: Path) -> str:
 
     Returns:
         One of c3d, mcap, db3, npz, npy, mat, hdf5, parquet, zstd, gzip, trc, motive, qtm, nexus,
-        lvm, typed and csv.
+        lvm, typed, jsonl and csv.
 
     Raises:
         RunError: it cannot be read, or has an unsupported format.
@@ -125,7 +127,10 @@ def kind_of(path: Path) -> str:
         return ending
     text = _decoded(start)
     _refuse_calibration(path, text)
-    return next((kind for kind, begins in _TEXTS.items() if begins(text)), "csv")
+    kind = next((kind for kind, begins in _TEXTS.items() if begins(text)), "csv")
+    if kind == "csv" and is_json(text):
+        raise _not_read(path, f"a JSON document: {WAY_OUT}")
+    return kind
 
 
 def _decoded(start: bytes) -> str:

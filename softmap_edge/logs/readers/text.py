@@ -21,14 +21,15 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
 from softmap_edge.files.printable import listed
-from softmap_edge.logs.readers.between import Between, without_heads
+from softmap_edge.logs.readers.between import Between
 from softmap_edge.logs.readers.cells import find_delimiter, is_number, is_plain, split
 from softmap_edge.logs.readers.clock_cells import clocks_of
-from softmap_edge.logs.readers.columns import Array, Cells
+from softmap_edge.logs.readers.columns import Array, Cells, text_array
 from softmap_edge.logs.readers.encoding import encoding_of, is_cut
 from softmap_edge.logs.readers.ending import RECENT, cut_within, lines_below
-from softmap_edge.logs.readers.header import Table, find_table, is_remark, table_lines, widths_of
+from softmap_edge.logs.readers.header import Table, is_remark, widths_of
 from softmap_edge.logs.readers.heads import names_again, refuse_rows_above, refuse_second_head
+from softmap_edge.logs.readers.late_table import search
 from softmap_edge.logs.readers.lines import blocks, first_lines, held_back
 from softmap_edge.logs.readers.spellings import (
     hex_columns,
@@ -158,7 +159,7 @@ class TextColumns:
             raise RunError(
                 f"{self.path}: holds no rows; give a log that holds data, or fewer skip_rows"
             )
-        found = np.array(labels) if label is not None else None
+        found = None if label is None else text_array(self.path, self.names[label], labels)
         at = np.concatenate(lines)
         blank = int(at[-1]) - self.first + 1 - count - sum(line < at[-1] for line in between.found)
         notes = (
@@ -489,9 +490,9 @@ def open_text(
     Raises:
         RunError: the file is absent, too large, not text, empty, or lacks an expected header.
     """
-    start = table_lines(path, skip_rows)
+    found = search(path, delimiter, skip_rows)
+    start, table, skip_rows = found.lines, found.table, found.skipped
     at = next(k for k, line in enumerate(start) if not is_remark(line))
-    table = find_table(without_heads(start), delimiter, EMPTY)
     if table is None:  # no line of numbers: assume that the first line holds the names
         cut = delimiter or find_delimiter(start[at])
         names = split(start[at], cut)
@@ -508,7 +509,7 @@ def open_text(
         )
         names = [str(k) for k in range(table.width)]
     head = start[: first if table.header is None else table.header]
-    skipped = sum(not is_remark(line) for line in head)
+    skipped = found.hidden + sum(not is_remark(line) for line in head)
     notes = [f"lines above the table were skipped: {skipped}"] if skipped else []
     notes += ["the line below the header is units"] if table.units and header is not False else []
     if table.fewest < table.width:
