@@ -33,6 +33,7 @@ from softmap_edge.logs.readers.lines import blocks, first_lines, held_back
 from softmap_edge.logs.readers.spellings import (
     hex_columns,
     spelling_remedy,
+    with_exponents,
     with_minus,
     without_hex,
 )
@@ -304,8 +305,8 @@ class TextColumns:
         ):
             return None
         for attempt in range(2):
-            if attempt:  # again, with empty cells as NaN
-                text = "\n" + "\n".join(block) + "\n"
+            if attempt:  # again, with empty cells as NaN, and with plain exponents
+                text = with_exponents("\n" + "\n".join(block) + "\n")
                 for old, new in ((mark * 2, f"{mark}nan{mark}"),) * 2 + (
                     (f"\n{mark}", f"\nnan{mark}"),
                 ):
@@ -396,7 +397,7 @@ class TextColumns:
             and (whole := ungrouped(cell, mark)) is not None
         ):
             return float(whole)
-        plain = cell.replace(",", ".") if self.decimal == "," else cell
+        plain = with_exponents(cell.replace(",", ".") if self.decimal == "," else cell)
         if not odd and is_plain(plain):
             return float(plain)
         if is_word(cell):
