@@ -40,10 +40,11 @@ from softmap_edge.logs.guess_time import RATE_HZ, time_of
 from softmap_edge.logs.importer import import_logs
 from softmap_edge.logs.left_out import by_reason, no_place, no_role, worth
 from softmap_edge.logs.lerobot import EITHER_UNIT
-from softmap_edge.logs.mapping import ANGLE, LENGTH, UNITS, parse_mapping
+from softmap_edge.logs.mapping import ANGLE, CONDITIONS, LENGTH, UNITS, parse_mapping
 from softmap_edge.logs.never_seen import at_one_number, never_seen
 from softmap_edge.logs.not_seen import not_seen
 from softmap_edge.logs.plausible import at_rest, axes_for, is_base, rest_axis
+from softmap_edge.logs.sensor_errors import never_read
 from softmap_edge.logs.table import header_hint
 from softmap_edge.logs.text_columns import text_columns
 from softmap_edge.logs.triples import LeftOut, Triples
@@ -402,8 +403,16 @@ def _find_drives(sheets: list[Sheet], found: Found) -> None:
     for pair in roles:
         if pair[1].kind in {other.kind for _, other in found.others}:
             continue  # a run holds one of each; it is listed among the columns that are left out
-        one = pair[1].kind in ("temperature", "load") and len(pair[1].columns) == 1
-        if one or (pair[1].kind == "current" and len(pair[1].columns) == width):
+        one = pair[1].kind in CONDITIONS and len(pair[1].columns) == 1
+        if one and (
+            why := never_read(pair[1].kind, pair[1].unit, pair[0].rows_of(pair[1].columns))
+        ):
+            found.left.append((pair[0], LeftOut(tuple(pair[1].columns), why)))
+            found.unknown.append(
+                f"the {pair[1].kind}: {pair[1].columns[0]} of {_called(pair[0])} is {why}, and is "
+                "left out"
+            )
+        elif one or (pair[1].kind == "current" and len(pair[1].columns) == width):
             found.others.append(pair)
             found.assumed.append(
                 f"{pair[1].kind}: {', '.join(pair[1].columns)} of {_called(pair[0])} by name"

@@ -38,6 +38,7 @@ Array = NDArray[np.float64]
 
 SCHEMA = "softmap.mapping/1"
 POINTS = ("markers", "base")
+CONDITIONS = ("temperature", "load")  # of the robot: one column each
 FILE = "file"  # the unit that the file itself states; mm where it states none
 LENGTH = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3, "in": 25.4, "ft": 304.8}  # → mm
 ANGLE = ("deg", "rad")
@@ -66,6 +67,8 @@ CONSTANTS = (
     *("load_g", "declare_load"),
 )
 _SIZE = 1_000_000  # bytes of a mapping
+_HUGE = 1e12  # no component of a direction is larger
+_UNIT_LENGTH = 1e-3  # deviation from length 1 that a run accepts
 
 
 @dataclass(frozen=True)
@@ -199,7 +202,12 @@ def _mapping(path: Path, top: TomlTable) -> Mapping:
     blocks.only(("count", "seconds"))
     constant.only(CONSTANTS)
     origin = frame.numbers("origin_mm", (3,))
-    gravity = constant.numbers("gravity", (3,))
+    if {"count", "seconds"} <= blocks.values.keys():
+        raise RunError(
+            f"{blocks.where}: count = {shown(blocks.values['count'])} and seconds = "
+            f"{shown(blocks.values['seconds'])}: both cut the frames into blocks; keep one of them"
+        )
+    gravity = _gravity(constant)
     temperature = constant.number("temperature_c")
     sigma = constant.number("sigma_mm")
     pairs = {"gravity": gravity, "temperature": temperature, "sigma": sigma}
@@ -250,6 +258,37 @@ def _stretch(constant: TomlTable) -> tuple[float, float] | None:
             f"{constant.where}: marker_rest_s = [{low:g}, {high:g}]: it ends before it begins"
         )
     return low, high
+
+
+def _gravity(constant: TomlTable) -> Array | None:
+    """Return the declared direction of gravity (3,), a unit vector; None without one."""
+    if "gravity" not in constant.values:
+        return None
+    allowed = (
+        "expected a direction of length 1 in the base frame, such as [0.0, 0.0, 1.0] (hanging) or "
+        "[0.0, 0.0, -1.0] (standing)"
+    )
+    given = constant.values["gravity"]
+    numbers = given if isinstance(given, list) else []
+    plain_numbers = all(
+        isinstance(x, int | float) and not isinstance(x, bool) and abs(x) <= _HUGE for x in numbers
+    )
+    if len(numbers) != 3 or not plain_numbers:  # NaN is not below the limit either
+        raise RunError(f"{constant.where}: gravity = {shown(given)}: {allowed}")
+    gravity = np.array(numbers, float)
+    length = float(np.linalg.norm(gravity))
+    if length == 0.0:
+        raise RunError(
+            f"{constant.where}: gravity = {shown(given)} has no direction: {allowed}; leave it out "
+            "if you do not know it"
+        )
+    if abs(length - 1.0) > _UNIT_LENGTH:
+        unit = ", ".join(f"{x:.4g}" for x in gravity / length + 0.0)
+        raise RunError(
+            f"{constant.where}: gravity = {shown(given)} has length {length:.4g}: {allowed}; "
+            f"gravity = [{unit}] has this direction"
+        )
+    return gravity
 
 
 def _loads(constant: TomlTable) -> tuple[tuple[str, float], ...]:
@@ -342,7 +381,7 @@ def _quantity(log: TomlTable, name: str, command_unit: str) -> Quantity:
     points: tuple[str, ...] = ()
     if name == "markers":
         points = ("not_seen", "labels", "swaps")
-    elif name in POINTS:
+    elif name in (*POINTS, *CONDITIONS):
         points = ("not_seen",)
     table.only((*QUANTITY, *points, *(("unwrap",) if name in DRIVES else ())))
     listed, flat = table.values.get("columns", []), columns_of(table)
@@ -357,7 +396,7 @@ def _quantity(log: TomlTable, name: str, command_unit: str) -> Quantity:
             f'{table.where}: {len(flat)} columns, expected x, y, z of each marker: [["x1", "y1", '
             '"z1"], …], or x, y of each in a plane: [["x1", "y1"], …]'
         )
-    if name in ("temperature", "load") and len(flat) != 1:
+    if name in CONDITIONS and len(flat) != 1:
         raise RunError(f"{table.where}: {len(flat)} columns, expected one")
     own = command_unit if name in ("command", "present") else UNITS[name][0]
     allowed = UNITS[name] if own in UNITS[name] else (*UNITS[name], own)
@@ -399,7 +438,7 @@ def _quantity(log: TomlTable, name: str, command_unit: str) -> Quantity:
         swaps=table.choice("swaps", ("report", "mend"), "report")
         if name == "markers"
         else "report",
-        not_seen=not_seen_of(table) if name in POINTS else (),
+        not_seen=not_seen_of(table) if name in (*POINTS, *CONDITIONS) else (),
         axes=axes if name in POINTS else 1,
         unwrap=_unwrap(table, len(flat)) if name in DRIVES and "unwrap" in table.values else None,
     )

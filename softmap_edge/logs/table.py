@@ -18,7 +18,7 @@ from softmap_edge.errors import RunError
 from softmap_edge.files.printable import listed
 from softmap_edge.logs.clock import kept, times_of
 from softmap_edge.logs.fills import LARGEST, without_fills
-from softmap_edge.logs.mapping import Clock, Log
+from softmap_edge.logs.mapping import CONDITIONS, Clock, Log
 from softmap_edge.logs.measured import Column
 from softmap_edge.logs.other_units import doubts_of_clock
 from softmap_edge.logs.readers.cells import find_delimiter
@@ -155,7 +155,7 @@ def read_log(path: Path, log: Log, columns: Columns | None = None) -> LogTable:
     drives = {
         places.index(place(path, names, column))
         for name, quantity in log.rows.items()
-        if name != "load"
+        if name not in CONDITIONS
         for column in quantity.columns
     }
     cells = without_fills(

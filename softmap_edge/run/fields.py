@@ -497,9 +497,9 @@ def _units(run: Run) -> None:
         length = np.linalg.norm(np.atleast_2d(run.gravity), axis=1)
         worst = float(length[np.argmax(np.abs(length - 1.0))])
         if abs(worst - 1.0) > 1e-3:
+            remedy = "divide it by its length" if worst else "leave it out if it is not known"
             raise RunError(
-                f"gravity: length {worst:.4g}, expected a unit vector in the base frame; divide "
-                "it by its length"
+                f"gravity: length {worst:.4g}, expected a unit vector in the base frame; {remedy}"
             )
     if run.frame is not None:
         turn = run.frame[:, :3]
