@@ -29,7 +29,6 @@ from softmap_edge.logs.readers.kinds import RECORDINGS
 from softmap_edge.logs.readers.mcap_file import Topic
 from softmap_edge.logs.readers.paced import PacedColumns
 from softmap_edge.logs.readers.parquet_log import EPISODE, open_parquet
-from softmap_edge.logs.readers.stated_rate import stated_rate
 from softmap_edge.logs.readers.text import TextColumns
 from softmap_edge.logs.readers.unit_cells import refuse_unit_cells
 from softmap_edge.logs.sources import (
@@ -261,7 +260,9 @@ def _sheet(part: Part, columns: Columns, which: list[int]) -> Sheet:
         clocks=clocks,
         below=below,
         head_line=columns.head_line,
-        rate_hz=stated_rate(columns.head) if isinstance(columns, TextColumns) else None,
+        rate_hz=columns.stated_rate[1]
+        if isinstance(columns, TextColumns) and columns.stated_rate is not None
+        else None,
         stated=dict(columns.odd_units) if isinstance(columns, TextColumns) else {},
         booleans=frozenset(columns.names[k] for k in which if k in columns.booleans)
         if isinstance(columns, ArrayColumns)

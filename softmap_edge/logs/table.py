@@ -45,6 +45,9 @@ _VENDORS: dict[str, Callable[[Path], Columns]] = {
 _TOLD = 6  # columns that are listed
 _NAMED = 8  # missing columns that are listed
 _WIDTH = 200  # characters of a list of columns
+_FEWEST_STEPS = 10  # between rows: fewer show no rate
+_REGULAR, _USUALLY = 0.5, 0.8  # deviation from the usual step, and share of such steps
+_SAME_RATE = 0.01  # relative difference of rates that rounding of the head explains
 
 
 @dataclass(frozen=True)
@@ -168,7 +171,8 @@ def read_log(path: Path, log: Log, columns: Columns | None = None) -> LogTable:
         path, columns.where, cells, t, log.clock, [places.index(clock) for clock in clocks]
     )
     values = dict(zip(places, times.cells.numbers.T))
-    doubts = (*lacks, *cells.doubts, *times.doubts, *_assumed(log.clock, len(times.t)))
+    found = _other_rate(columns, times.t, log.clock)
+    doubts = (*lacks, *cells.doubts, *times.doubts, *found, *_assumed(log.clock, len(times.t)))
     notes = (*cells.notes, *aside, *times.notes)
     odd = columns.odd_units if isinstance(columns, TextColumns) else None
     table = LogTable(
@@ -187,6 +191,29 @@ def _other_count(columns: Columns, rows: int) -> list[str]:
         return []
     missing = f": {stated - rows} are missing, export it again" if rows < stated else ""
     return [f"the head states {stated} frames, the file holds {rows}{missing}"]
+
+
+def _other_rate(columns: Columns, t: Array, clock: Clock) -> list[str]:
+    """Return the doubt that rows at times t (T,) s have another rate than the head states."""
+    step = np.diff(t)
+    if not isinstance(columns, TextColumns) or columns.stated_rate is None or clock.timeless:
+        return []
+    if len(step) < _FEWEST_STEPS:
+        return []
+    regular = np.abs(step / np.median(step) - 1.0) < _REGULAR  # no gap; rounded stamps differ
+    key, stated = columns.stated_rate
+    rate = 1.0 / float(step[regular].mean())
+    if regular.mean() < _USUALLY or abs(rate / stated - 1.0) <= _SAME_RATE:
+        return []
+    taken = "the rate of the mapping" if clock.column is None or clock.counter else "the time"
+    frame = next((name for name in columns.names if name.lower() == "frame"), None)
+    counted = "" if frame is None else f'column = "{frame}", '
+    remedy = f"time = {{ {counted}rate_hz = {stated:g} }}"
+    return [
+        f"t: the head states {key} {stated:g} Hz, and by {taken} there are {rate:.4g} rows a "
+        f"second, {100 * (rate / stated - 1.0):+.0f} %: {taken} is followed; set {remedy} if the "
+        "head is right"
+    ]
 
 
 def columns_named(log: Log) -> list[Column]:

@@ -37,6 +37,7 @@ from softmap_edge.logs.readers.spellings import (
     with_minus,
     without_hex,
 )
+from softmap_edge.logs.readers.stated_rate import stated_rate
 from softmap_edge.logs.readers.thousands import Marks, is_alike, marks_of, other_mark, unclear
 from softmap_edge.logs.readers.thousands import plain as ungrouped
 from softmap_edge.logs.readers.words import EMPTY, Words, is_text, is_word
@@ -64,6 +65,8 @@ class TextColumns:
     units: dict[str, str] = field(default_factory=dict)
     odd_units: dict[str, str] = field(default_factory=dict)  # cells of a line of units, not known
     stated_rows: int | None = None  # number of rows that the head states
+    # the rate (Hz) of the rows that the head states, and its name there
+    stated_rate: tuple[str, float] | None = None
     notes: tuple[str, ...] = ()
     where: str = "line"
     header: bool = True
@@ -541,6 +544,8 @@ def open_text(
         line for line in start[:first] if any(map(str.isalpha, line)) and not _is_row(line, table)
     ]
     columns = replace(columns, head=tuple(above[-_HEADS:]) if named else ())
+    rate = stated_rate(columns.head)
+    columns = replace(columns, stated_rate=None if rate is None else ("a rate of", rate))
     return _marked(columns, start[first : first + _FIRST], decimal).with_clocks(order)
 
 
