@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from softmap_edge.errors import RunError, differing_times
 from softmap_edge.files.atomic import Document
 from softmap_edge.logs.held import LONGEST_HOLD, repeated_frames
-from softmap_edge.logs.mapping import FILE, LENGTH, Log, Mapping, Quantity
+from softmap_edge.logs.likelihood import lines_of, unlikely
+from softmap_edge.logs.mapping import FILE, LENGTH, PIXEL, Log, Mapping, Quantity
 from softmap_edge.logs.measured import Column, Measured
 from softmap_edge.logs.never_seen import at_one_number, never_seen
 from softmap_edge.logs.not_seen import declared, not_seen
@@ -68,12 +69,14 @@ def seen(
         table = _without_lost(table, log.output, log.output.names, commands, 1, notes, doubts)
         return _outputs(table, log, log.output, fields, notes, doubts)
     assert log.markers is not None
+    table = _without_unlikely("markers", table, log.markers, log.markers.labels, notes)
     table = _without_unseen(table, log.markers, notes, doubts)
     table = _without_lost(
         table, log.markers, log.markers.labels, commands, log.markers.axes, notes, doubts
     )
     if log.base is not None:
         named = tuple(f"base {b}" for b in range(len(log.base.columns) // log.base.axes))
+        table = _without_unlikely("base", table, log.base, named, notes)
         _tell_base(table, log.base, named, doubts)
         table = _without_lost(table, log.base, named, commands, log.base.axes, notes, doubts)
     table = _without_shifts(table, log.markers, doubts)
@@ -143,6 +146,19 @@ def _without_lost(
         if not (given.mask | lost.mask).any()
         else _with_numbers(table, quantity.columns, points)
     )
+
+
+def _without_unlikely(
+    name: str, table: LogTable, quantity: Quantity, labels: tuple[str, ...], notes: list[str]
+) -> LogTable:
+    """Return the table with NaN for places of a low likelihood, and count them."""
+    if not quantity.likelihood:
+        return table
+    gone = unlikely(table, quantity)
+    notes += lines_of(name, table, quantity, labels, gone)
+    points = table.numbers(quantity.columns).reshape(*gone.shape, quantity.axes)
+    points[gone] = np.nan
+    return _with_numbers(table, quantity.columns, points)
 
 
 def _without_unseen(
@@ -293,16 +309,22 @@ def _points(table: LogTable, quantity: Quantity, doubts: list[str], name: str = 
         units = [unit if unit in LENGTH else usual for unit in stated for _ in range(quantity.axes)]
     unit = units[0]
     other = doubts_of_units(name, table, quantity, units)
+    if unit == PIXEL and (quantity.scale == 1.0).all():
+        other = [
+            f"{name}: in pixels, which are no mm: a pixel counts as 1 mm, and every length of the "
+            f"run is wrong by that factor; set {name}.scale to the mm of one pixel, from a length "
+            "that you know in the picture"
+        ]
     doubts += other
     raw = table.numbers(quantity.columns)
-    raw *= [LENGTH[unit] for unit in units]
+    raw *= [1.0 if unit == PIXEL else LENGTH[unit] for unit in units]
     raw *= quantity.scale
     raw += quantity.offset
     points = raw.reshape(len(raw), -1, quantity.axes)
     if quantity.axes < 3:  # a plane: the third coordinate is not measured
         points = np.concatenate([points, np.zeros((*points.shape[:2], 1))], axis=2)
     if not other:
-        doubts += doubts_of_points(points, unit, name)
+        doubts += doubts_of_points(points, "mm" if unit == PIXEL else unit, name)
     return points
 
 

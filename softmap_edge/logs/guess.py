@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
 from softmap_edge.files.atomic import Document
-from softmap_edge.files.printable import plain_line
+from softmap_edge.files.printable import listed, plain_line
 from softmap_edge.logs.drive_roles import drives_of
 from softmap_edge.logs.fills import unread_ticks
 from softmap_edge.logs.flags import REASON
 from softmap_edge.logs.guess_bare import places_by_value
 from softmap_edge.logs.guess_columns import (
+    TRACKED,
     Sheet,
     drive_unit,
     label_of,
@@ -40,7 +41,16 @@ from softmap_edge.logs.guess_time import RATE_HZ, time_of
 from softmap_edge.logs.importer import import_logs
 from softmap_edge.logs.left_out import by_reason, no_place, no_role, worth
 from softmap_edge.logs.lerobot import EITHER_UNIT
-from softmap_edge.logs.mapping import ANGLE, CONDITIONS, LENGTH, UNITS, parse_mapping
+from softmap_edge.logs.likelihood import PIXEL_WORDS
+from softmap_edge.logs.mapping import (
+    ANGLE,
+    CONDITIONS,
+    LENGTH,
+    LIKELIHOOD,
+    PIXEL,
+    UNITS,
+    parse_mapping,
+)
 from softmap_edge.logs.never_seen import at_one_number, never_seen
 from softmap_edge.logs.not_seen import not_seen
 from softmap_edge.logs.plausible import at_rest, axes_for, is_base, rest_axis
@@ -110,6 +120,7 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
             found.assumed.append(
                 f"columns of {_called(sheet)}: no line names them, so they are numbers from 0"
             )
+        found.unknown += _several_bodies(sheet)
         time = found.times[k] = time_of(sheet, alone=len(sheets) == 1)
         found.assumed.append(f"time of {_called(sheet)}: {time.why}")
         found.unknown += [time.doubt] if time.doubt else []
@@ -179,6 +190,16 @@ def _called(sheet: Sheet) -> str:
     return sheet.path.name if sheet.topic is None else f"{sheet.path.name} {sheet.topic}"
 
 
+def _several_bodies(sheet: Sheet) -> list[str]:
+    """Return the question which body is the robot, if rows of several follow each other."""
+    return [
+        f"which body is the robot: '{name}' of {_called(sheet)} holds {listed(bodies, 3)}, each in "
+        "rows of its own; keep the rows of one, or export one column for each coordinate of each"
+        for name, texts in sheet.texts.items()
+        if TRACKED.fullmatch(name) and len(bodies := list(dict.fromkeys(filter(None, texts)))) > 1
+    ]
+
+
 def _left_out(sheet: Sheet, time: tuple[str, ...], found: Found) -> list[str]:
     """List the columns that vary but are not part of the run."""
     used = {*time, found.label} | {
@@ -193,6 +214,7 @@ def _left_out(sheet: Sheet, time: tuple[str, ...], found: Found) -> list[str]:
     used |= {name for other, one in found.left if other is sheet for name in one.columns}
     if found.points is not None and found.points[0] is sheet:
         used |= {name for triple in [*found.points[1], *found.base] for name in triple}
+        used |= {*found.likelihood.values()}
     varies = [
         name
         for name in sheet.names
@@ -252,12 +274,22 @@ def _find_points(sheets: list[Sheet], found: Found) -> None:
     points = _places(sheet, triples)
     named = LENGTH_WORDS.get(unit_in_name(flat[0], LENGTH_WORDS) or "")
     odd = None if named else stated_of(sheet, flat[0], LENGTH_WORDS)
-    unit, why = (
-        (named, f"their names say {named}")
-        if named
-        else length_unit(points, sheet.units.get(flat[0]))
-    )
-    if odd is not None:
+    stated = odd is not None and odd.lower() in PIXEL_WORDS
+    pictured = stated or (len(triples[0]) == 2 and bool(best.likelihood) and not named)
+    if pictured:
+        unit, why = PIXEL, "a tracker of pictures measures in pixels"
+    elif named:
+        unit, why = named, f"their names say {named}"
+    else:
+        unit, why = length_unit(points, sheet.units.get(flat[0]))
+    if pictured:
+        found.unknown.append(
+            f"the mm of one pixel: {'the log states px' if stated else 'x, y, likelihood'} of "
+            "places in a picture, and a pixel is no mm. Put the mm of one pixel into scale, from a "
+            "length that you know in the picture, and origin_mm in mm; lens distortion is not "
+            "corrected"
+        )
+    elif odd is not None:
         found.unknown.append(
             f"the unit of the markers: the log states '{odd}', which is no unit of places in this "
             f"program: {unit} is written by size alone. Give unit and scale: mm for one '{odd}'"
@@ -274,6 +306,15 @@ def _find_points(sheets: list[Sheet], found: Found) -> None:
         f"markers: {len(triples)} of {_called(sheet)}, in the order of the columns, base first; "
         f"{why}"
     )
+    found.likelihood = best.likelihood
+    if best.likelihood:
+        names = list(best.likelihood.values())
+        low = sheet.rows_of(names) < LIKELIHOOD
+        found.assumed.append(
+            f"markers: {', '.join(names[:4])}{' …' * (len(names) > 4)} are likelihoods, no "
+            f"coordinates; places below {LIKELIHOOD:g} count as not seen ({int(low.sum())} of "
+            f"{low.size} here), which is the limit that DeepLabCut takes"
+        )
     if len(triples[0]) == 2:
         found.assumed.append(
             "markers: they lie in a plane, for there is no z; the third coordinate counts as 0 "
@@ -362,9 +403,8 @@ def _find_drives(sheets: list[Sheet], found: Found) -> None:
         spent[id(other)] |= set(left.columns)
     if found.points is not None:
         sheet, triples, _ = found.points
-        spent[id(sheet)] |= {name for triple in [*triples, *found.base] for name in triple} | {
-            found.label or ""
-        }
+        spent[id(sheet)] |= {name for triple in [*triples, *found.base] for name in triple}
+        spent[id(sheet)] |= {*found.likelihood.values(), found.label or ""}
     roles = [(sheet, role) for sheet in sheets for role in roles_of(sheet, spent[id(sheet)])]
     for sheet, role in roles:
         if role.kind != "load":
@@ -509,7 +549,9 @@ def _frame(sheets: list[Sheet], found: Found) -> list[str]:
     sheet, triples, unit = found.points
     names = [name for triple in [*triples, *found.base] for name in triple]
     stated = sheet.units.get(names[0]) or "mm"
-    points = _places(sheet, [*triples, *found.base]) * LENGTH[stated if unit == "file" else unit]
+    points = _places(sheet, [*triples, *found.base]) * LENGTH.get(
+        stated if unit == "file" else unit, 1.0
+    )
     points *= np.array([[found.scales.get(one[0], 1.0)] for one in [*triples, *found.base]])
     rest = _rest(sheets, found, sheet, points)
     base = rest[len(triples) :].mean(axis=0) if found.base else None

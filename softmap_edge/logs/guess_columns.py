@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from softmap_edge.errors import RunError
 from softmap_edge.logs.fills import LARGEST, marked_missing
 from softmap_edge.logs.flags import REASON, are_flags, flags_of, named_so, words_of
+from softmap_edge.logs.likelihood import is_likelihood, likelihood_of
 from softmap_edge.logs.mapping import LENGTH, UNITS
 from softmap_edge.logs.numbered import without_numbers
 from softmap_edge.logs.plausible import ROBOT
@@ -56,6 +57,7 @@ _LABELS = re.compile(
     r"(block|label|segment|trial|phase|pattern|part|condition|experiment)s?"
     r"(id|nr|no|num|number|index|idx|name|label)?"
 )
+TRACKED = re.compile(r"track|instance|individual|scorer|skeleton", re.IGNORECASE)
 _PLACES = re.compile(
     r"marker|point|(^|[._])tip($|_)|xyz|mocap|optitrack|vicon|place|end_?effector", re.IGNORECASE
 )
@@ -299,7 +301,18 @@ def points_of(sheet: Sheet) -> Triples:
     """
     flags = sheet.flags()
     found = _points_of(sheet, {*sheet.texts, *flags})
+    likely = {place[0]: name for place in found.places if (name := _likelihood(sheet, place))}
+    if len(likely) == len(found.places):
+        found = replace(found, likelihood=likely)
+        flags = [name for name in flags if name not in likely.values()]
     return replace(found, left=[*found.left, LeftOut(tuple(flags), REASON)]) if flags else found
+
+
+def _likelihood(sheet: Sheet, place: Sequence[str]) -> str | None:
+    """Return the column with the likelihood of a position; None without one."""
+    name = likelihood_of(place, sheet.names) if sheet.header else None
+    known = name is not None and name not in sheet.texts and is_likelihood(sheet.column(name))
+    return name if known else None
 
 
 def _points_of(sheet: Sheet, gone: set[str]) -> Triples:
@@ -315,7 +328,9 @@ def _points_of(sheet: Sheet, gone: set[str]) -> Triples:
     others = [one for one in found.places if one not in bodies]
     if found.places:
         return Triples(others or bodies, found.left, found.by_size)
-    plane = find_pairs(names, bare, sheet.rows_of)
+    plane = find_pairs(
+        names, bare, sheet.rows_of, lambda pair: _likelihood(sheet, pair) is not None
+    )
     return Triples(plane.places, [*found.left, *plane.left], plane.by_size)
 
 
@@ -507,7 +522,8 @@ def drive_unit(rows: Array, stated: str | None, joint: bool = False) -> tuple[st
 def label_of(sheet: Sheet) -> str | None:
     """Return the column that labels each row's part of the protocol."""
     for name, texts in sheet.texts.items():
-        if not sheet.header or "frame" in name.lower():  # the name of a coordinate frame
+        # the name of a coordinate frame, and of what a tracker of pictures follows
+        if not sheet.header or "frame" in name.lower() or TRACKED.fullmatch(name):
             continue
         labelled = any(map(_LABELS.fullmatch, words_of(name)))
         if are_flags(name, texts) or (mostly_numbers(texts) and not labelled):

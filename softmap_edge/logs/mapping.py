@@ -40,6 +40,8 @@ SCHEMA = "softmap.mapping/1"
 POINTS = ("markers", "base")
 CONDITIONS = ("temperature", "load")  # of the robot: one column each
 FILE = "file"  # the unit that the file itself states; mm where it states none
+PIXEL = "px"  # of a picture: no length, so `scale` gives the mm of one pixel
+LIKELIHOOD = 0.6  # least likelihood of a place that counts as seen, as DeepLabCut plots it
 LENGTH = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3, "in": 25.4, "ft": 304.8}  # → mm
 ANGLE = ("deg", "rad")
 UNITS: dict[str, tuple[str, ...]] = {
@@ -50,8 +52,8 @@ UNITS: dict[str, tuple[str, ...]] = {
     "current": ("mA", "A"),
     "temperature": ("degC", "K"),
     "load": ("g", "kg", "N"),
-    "markers": (*LENGTH, FILE),
-    "base": (*LENGTH, FILE),
+    "markers": (*LENGTH, FILE, PIXEL),
+    "base": (*LENGTH, FILE, PIXEL),
 }
 KEYS = (
     *("schema", "robot", "command_unit", "zero_time", "log"),
@@ -85,6 +87,8 @@ class Quantity:
     swaps: str = "report"
     not_seen: tuple[float, ...] | None = ()  # numbers that stand for "not seen"; None keeps all
     axes: int = 3  # coordinates of a marker: 2 in a plane
+    likelihood: tuple[Column, ...] = ()  # one column for each marker
+    least_likelihood: float = LIKELIHOOD  # of a place that was seen
     # (columns,) size of a turn after which each rolls over, in the log's unit
     unwrap: Array | None = None
 
@@ -380,8 +384,10 @@ def _quantity(log: TomlTable, name: str, command_unit: str) -> Quantity:
     table = log.table(name)
     points: tuple[str, ...] = ()
     if name == "markers":
-        points = ("not_seen", "labels", "swaps")
-    elif name in (*POINTS, *CONDITIONS):
+        points = ("not_seen", "likelihood", "least_likelihood", "labels", "swaps")
+    elif name == "base":
+        points = ("not_seen", "likelihood", "least_likelihood")
+    elif name in CONDITIONS:
         points = ("not_seen",)
     table.only((*QUANTITY, *points, *(("unwrap",) if name in DRIVES else ())))
     listed, flat = table.values.get("columns", []), columns_of(table)
@@ -440,8 +446,29 @@ def _quantity(log: TomlTable, name: str, command_unit: str) -> Quantity:
         else "report",
         not_seen=not_seen_of(table) if name in (*POINTS, *CONDITIONS) else (),
         axes=axes if name in POINTS else 1,
+        likelihood=_likelihood(table, len(flat) // axes) if name in POINTS else (),
+        least_likelihood=table.number("least_likelihood", LIKELIHOOD, 0.0, 1e6) or 0.0,
         unwrap=_unwrap(table, len(flat)) if name in DRIVES and "unwrap" in table.values else None,
     )
+
+
+def _likelihood(table: TomlTable, markers: int) -> tuple[Column, ...]:
+    """Return the columns with the likelihood of each marker; () without any."""
+    given = table.get("likelihood", (list,))
+    if given is None:
+        if "least_likelihood" in table.values:
+            raise RunError(
+                f"{table.where}: least_likelihood without likelihood; name the column of each "
+                'marker: likelihood = ["tip.likelihood", …]'
+            )
+        return ()
+    named = [one for one in given if isinstance(one, str | int) and not isinstance(one, bool)]
+    if len(named) != markers or len(given) != markers:
+        raise RunError(
+            f"{table.where}: likelihood = {shown(given)}, expected {markers} columns, one for each "
+            "marker"
+        )
+    return tuple(named)
 
 
 def _unwrap(table: TomlTable, count: int) -> Array:

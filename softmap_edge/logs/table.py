@@ -224,7 +224,7 @@ def columns_named(log: Log) -> list[Column]:
         column
         for points in (log.markers, log.base)
         if points is not None
-        for column in points.columns
+        for column in (*points.columns, *points.likelihood)
     ]
     return [*found, *([] if log.output is None else log.output.columns)]
 

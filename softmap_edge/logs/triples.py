@@ -87,6 +87,8 @@ class Triples:
     left: list[LeftOut] = field(default_factory=list)
     # positions with uninformative names
     by_size: list[list[str]] = field(default_factory=list)
+    # the column with the likelihood of each position, by its first column; {} unless all have one
+    likelihood: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -320,13 +322,19 @@ def _by_name(stem: str) -> tuple[str | None, bool]:
     return None, place
 
 
-def find_pairs(names: Sequence[str], bare: Sequence[str], rows: Rows) -> Triples:
+def find_pairs(
+    names: Sequence[str],
+    bare: Sequence[str],
+    rows: Rows,
+    is_place: Callable[[Sequence[str]], bool] = lambda _: False,
+) -> Triples:
     """Find x, y of markers in a plane, for a log without positions in space.
 
-    At least one must be named like a position.
+    At least one must be named like a position, or be one by `is_place`.
 
     Args:
         names, bare, rows: as in `find_triples`.
+        is_place: whether other columns show that a pair is a position.
     """
 
     def padded(columns: list[str]) -> Array:
@@ -334,7 +342,10 @@ def find_pairs(names: Sequence[str], bare: Sequence[str], rows: Rows) -> Triples
         return np.column_stack([points, np.zeros(len(points))])
 
     pairs = list(_pairs(list(names), list(bare), rows))
-    families = _families([_candidate(one, stem, padded, lambda _: False) for one, stem in pairs])
+    places_known = {pair[0] for pair, _ in pairs if is_place(pair)}
+    families = _families(
+        [_candidate(one, stem, padded, places_known.__contains__) for one, stem in pairs]
+    )
     accepted, left = (
         _classified(families) if any(family[0].named for family in families) else ([], [])
     )

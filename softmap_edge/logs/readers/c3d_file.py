@@ -80,7 +80,7 @@ def open_c3d(path: Path) -> HeldColumns:
     time = (frames - first) / rate
     numbers = np.column_stack([frames, time, points.reshape(len(points), -1)])
     short = last - first + 1 - len(points)
-    notes = (f"time counts frames at {rate:g} Hz, as the file states",)
+    notes: tuple[str, ...] = (f"time counts frames at {rate:g} Hz, as the file states",)
     notes += (f"the file ends {short} frames early",) if short else ()
     return HeldColumns(path, ["frame", "time", *names], numbers, units, notes=notes)
 
