@@ -30,6 +30,7 @@ from softmap_edge.logs.readers.kinds import RECORDINGS
 from softmap_edge.logs.readers.mcap_file import Topic
 from softmap_edge.logs.readers.paced import PacedColumns
 from softmap_edge.logs.readers.parquet_log import EPISODE, open_parquet
+from softmap_edge.logs.readers.summaries import summaries
 from softmap_edge.logs.readers.text import TextColumns
 from softmap_edge.logs.readers.unit_cells import refuse_unit_cells
 from softmap_edge.logs.sources import (
@@ -239,6 +240,9 @@ def _sheet(part: Part, columns: Columns, which: list[int]) -> Sheet:
     numbers = np.full((len(cells), len(names)), np.nan)
     at = [which.index(k) for k in places]
     numbers[:, at] = np.where(np.abs(cells) < LARGEST, cells, np.nan)
+    if isinstance(columns, TextColumns) and len(gone := summaries(numbers)):
+        numbers = np.delete(numbers, gone, axis=0)
+        texts = {name: _without(cells, gone.tolist()) for name, cells in texts.items()}
     header = not isinstance(columns, TextColumns) or columns.header
     arrays = isinstance(columns, ArrayColumns)
     episode = (
@@ -270,6 +274,11 @@ def _sheet(part: Part, columns: Columns, which: list[int]) -> Sheet:
         if isinstance(columns, ArrayColumns)
         else frozenset(),
     )
+
+
+def _without(texts: list[str], gone: list[int]) -> list[str]:
+    """Return the texts of the first rows without those of some rows."""
+    return [text for k, text in enumerate(texts) if k not in gone]
 
 
 def _unique(names: list[str]) -> list[str]:

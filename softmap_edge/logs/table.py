@@ -29,6 +29,7 @@ from softmap_edge.logs.readers.mocap import open_motive, open_trc
 from softmap_edge.logs.readers.npz_log import open_npz
 from softmap_edge.logs.readers.parquet_log import open_parquet
 from softmap_edge.logs.readers.rosbag_sqlite import open_db3
+from softmap_edge.logs.readers.summaries import summaries
 from softmap_edge.logs.readers.text import TextColumns, open_text
 from softmap_edge.logs.readers.typed_rows import open_typed
 from softmap_edge.logs.readers.vendor_text import open_lvm, open_nexus, open_qtm
@@ -164,6 +165,7 @@ def read_log(path: Path, log: Log, columns: Columns | None = None) -> LogTable:
     cells = without_fills(
         _finite(_cut(path, cells, log), places, names), [names[k] for k in places], drives
     )
+    cells = _without_summaries(columns, cells)
     _within_reason(path, columns.where, cells, places, names)
     cells, aside = _set_aside(columns.where, cells, [places.index(clock) for clock in clocks])
     t = raw_times(path, columns, cells, places, log.clock)
@@ -180,6 +182,21 @@ def read_log(path: Path, log: Log, columns: Columns | None = None) -> LogTable:
     )
     read = [name for name in log.clock.columns if place(path, names, name) not in columns.clocks]
     return replace(table, doubts=(*doubts, *doubts_of_clock(table, log.clock, read)))
+
+
+def _without_summaries(columns: Columns, cells: Cells) -> Cells:
+    """Return the rows of a text log without those that summarise the others, and a note."""
+    gone = summaries(cells.numbers) if isinstance(columns, TextColumns) else np.zeros(0, np.intp)
+    if not len(gone):
+        return cells
+    lines = listed([str(line) for line in cells.lines[gone]], _TOLD)
+    note = (
+        f"{len(gone)} of {len(cells.numbers)} rows hold the mean (or another statistic) of the "
+        f"others in every column, and were left out as summaries: line {lines}"
+    )
+    keep = np.ones(len(cells.numbers), np.bool_)
+    keep[gone] = False
+    return replace(kept(cells, keep), notes=(*cells.notes, note))
 
 
 def _other_count(columns: Columns, rows: int) -> list[str]:

@@ -38,6 +38,7 @@ from softmap_edge.logs.readers.spellings import (
     without_hex,
 )
 from softmap_edge.logs.readers.stated_rate import stated_rate
+from softmap_edge.logs.readers.summaries import labelled
 from softmap_edge.logs.readers.thousands import Marks, is_alike, marks_of, other_mark, unclear
 from softmap_edge.logs.readers.thousands import plain as ungrouped
 from softmap_edge.logs.readers.words import EMPTY, Words, is_text, is_word
@@ -99,7 +100,8 @@ class TextColumns:
         lines = [line for line in first_lines(self.path, rows, self.first) if line.strip()]
         cells = [split(self._fitted(with_minus(line)), self.delimiter) for line in lines]
         full = [row for row in cells if len(row) == len(self.names)]
-        return [row for row in full if not names_again(row, self.names)]
+        full = [row for row in full if not names_again(row, self.names)]
+        return [row for row in full if not labelled(row, full)]
 
     def with_clocks(self, order: str | None) -> TextColumns:
         """Return a copy with its columns of dates and times identified.
