@@ -20,12 +20,13 @@ from numpy.typing import NDArray
 from softmap_edge.errors import RunError
 from softmap_edge.files.atomic import Document
 from softmap_edge.files.printable import listed, plain_line
-from softmap_edge.logs.drive_roles import drives_of
+from softmap_edge.logs.drive_roles import drives_of, switches_of
 from softmap_edge.logs.fills import unread_ticks
 from softmap_edge.logs.flags import REASON
 from softmap_edge.logs.guess_bare import places_by_value
 from softmap_edge.logs.guess_columns import (
     TRACKED,
+    Role,
     Sheet,
     drive_unit,
     label_of,
@@ -440,30 +441,39 @@ def _find_drives(sheets: list[Sheet], found: Found) -> None:
         found.assumed.append(
             f"encoders: {width} columns of {_called(found.present[0])}, {found.present[1].why}"
         )
-    for pair in roles:
-        if pair[1].kind in {other.kind for _, other in found.others}:
-            continue  # a run holds one of each; it is listed among the columns that are left out
-        one = pair[1].kind in CONDITIONS and len(pair[1].columns) == 1
-        if one and (
-            why := never_read(pair[1].kind, pair[1].unit, pair[0].rows_of(pair[1].columns))
-        ):
-            found.left.append((pair[0], LeftOut(tuple(pair[1].columns), why)))
+    for key, pair in (("command", found.command), ("present", found.present)):
+        if pair is not None and (names := switches_of(pair)):
             found.unknown.append(
-                f"the {pair[1].kind}: {pair[1].columns[0]} of {_called(pair[0])} is {why}, and is "
-                "left out"
+                f"whether `{key}` holds flags: only 0 and 1 in {listed(names, 4)} of "
+                f"{_called(pair[0])}, as a flag or a switch has; take out what is one"
             )
-        elif one or (pair[1].kind == "current" and len(pair[1].columns) == width):
-            found.others.append(pair)
-            found.assumed.append(
-                f"{pair[1].kind}: {', '.join(pair[1].columns)} of {_called(pair[0])} by name"
-            )
-            if pair[1].stated is not None:
-                found.unknown.append(
-                    f"the unit of the {pair[1].kind}: the log states '{pair[1].stated}', which is "
-                    f"no unit of it in this program: {UNITS[pair[1].kind][0]} is taken; give scale "
-                    "and offset"
-                )
+    _find_others(roles, width, found)
     _drive_units(found)
+
+
+def _find_others(roles: list[tuple[Sheet, Role]], width: int, found: Found) -> None:
+    """Add currents, one for each of `width` channels, and conditions; say what is left out."""
+    for sheet, role in roles:
+        if role.kind in {other.kind for _, other in found.others}:
+            continue  # a run holds one of each; it is listed among the columns that are left out
+        one = role.kind in CONDITIONS and len(role.columns) == 1
+        if not one and not (role.kind == "current" and len(role.columns) == width):
+            continue
+        named = f"{', '.join(role.columns)} of {_called(sheet)}"
+        why = never_read(role.kind, role.unit, sheet.rows_of(role.columns)) if one else None
+        if switches_of((sheet, role)):
+            why = "only 0 and 1, as a flag or a switch is"
+        if why is not None:
+            found.left.append((sheet, LeftOut(tuple(role.columns), why)))
+            found.unknown.append(f"the {role.kind}: {named} is {why}, and is left out")
+            continue
+        found.others.append((sheet, role))
+        found.assumed.append(f"{role.kind}: {named} by name")
+        if role.stated is not None:
+            found.unknown.append(
+                f"the unit of the {role.kind}: the log states '{role.stated}', which is no unit of "
+                f"it in this program: {UNITS[role.kind][0]} is taken; give scale and offset"
+            )
 
 
 def _drive_units(found: Found) -> None:

@@ -25,6 +25,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.logs.flags import is_switch
 from softmap_edge.logs.goals import follows, is_computed, is_drive, is_goal
 from softmap_edge.logs.numbered import without_numbers
 from softmap_edge.logs.plausible import is_base
@@ -280,6 +281,8 @@ def _candidate(
     other, named = _by_name(stem)
     if is_length(columns[0]) and not _NAMELESS.search(stem):
         other, named = None, True
+    if (flag := _flag(columns, points)) is not None:
+        other, named = flag, False
     size = float(np.median(length))
     largest = float(np.quantile(np.abs(points), 0.99))
     extent = float(
@@ -289,6 +292,20 @@ def _candidate(
     return _Candidate(
         columns, stem, named, other, size, largest, _steady(points, length), middle, extent
     )
+
+
+def _flag(columns: list[str], points: Array) -> str | None:
+    """Return that points (n, 3) are no position, because a coordinate is only 0 and 1.
+
+    Positions in whole numbers may have such a coordinate, if they have another one too.
+    """
+    switches = [is_switch(column) for column in points.T]
+    whole = bool((points == np.rint(points)).all())
+    wide = [bool(np.ptp(column) > 1.0) for column in points.T] if len(points) else []
+    if not any(switches) or (whole and any(wide)):
+        return None
+    name = columns[switches.index(True)]
+    return f"a flag or a switch, for {name} holds only 0 and 1"
 
 
 def _steady(points: Array, length: Array) -> str | None:
