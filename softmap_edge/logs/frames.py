@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError, differing_times
 from softmap_edge.files.atomic import Document
+from softmap_edge.files.printable import listed
 from softmap_edge.logs.held import LONGEST_HOLD, repeated_frames
 from softmap_edge.logs.likelihood import lines_of, unlikely
 from softmap_edge.logs.mapping import FILE, LENGTH, PIXEL, Log, Mapping, Quantity
 from softmap_edge.logs.measured import Column, Measured
-from softmap_edge.logs.never_seen import at_one_number, never_seen
+from softmap_edge.logs.never_seen import at_one_number, never_moving, never_seen
 from softmap_edge.logs.not_seen import declared, not_seen
 from softmap_edge.logs.other_units import doubts_of_units
 from softmap_edge.logs.plausible import doubts_of_points
@@ -29,6 +30,10 @@ from softmap_edge.run.plane import AXES, PLANE
 Array = NDArray[np.float64]
 _TOLD = 5  # swaps, and unseen markers, that are listed
 _SLOW = 25.0  # % of frames that repeat: the camera is slower than the log
+_RELATIVE = (
+    "Places relative to the base (tip minus base), or a typed one, look like this: then a base "
+    "that moves is not seen, and `mount` and `camera_drift` cannot be tested by it"
+)
 _OF_FRAMES = ("markers", "visible", "block", "base_markers")
 
 
@@ -191,15 +196,24 @@ def _without_unseen(
 
 
 def _tell_base(table: LogTable, base: Quantity, labels: tuple[str, ...], doubts: list[str]) -> None:
-    """Report markers of the base at 0, 0, 0 in every row; they are kept."""
+    """Report markers of the base at one place to the last digit in every row; they are kept."""
     if base.not_seen is None:
         return
     points = table.numbers(base.columns).reshape(len(table.t), -1, base.axes)
+    zero = never_seen(points)
     doubts += [
-        f"base: {each}: kept as the origin of the log. If it was never seen, leave the columns "
-        'out; base.not_seen = "keep" if it is there'
-        for each in at_one_number(points, never_seen(points).tolist(), labels)
+        f"base: {each}: kept as the origin of the log. {_RELATIVE}. If it was never seen, leave "
+        'the columns out; base.not_seen = "keep" if it is there'
+        for each in at_one_number(points, zero.tolist(), labels)
     ]
+    still = [m for m in never_moving(points) if m not in zero]
+    if still:
+        named = listed((labels[m] for m in still), _TOLD)
+        doubts.append(
+            f"base: {named} at one place to the last digit in all {len(points)} frames, so it was "
+            f'not measured in each of them. {_RELATIVE}; base.not_seen = "keep" if the base '
+            "cannot move"
+        )
 
 
 def _without_shifts(table: LogTable, markers: Quantity, doubts: list[str]) -> LogTable:

@@ -54,7 +54,7 @@ from softmap_edge.logs.mapping import (
 )
 from softmap_edge.logs.never_seen import at_one_number, never_seen
 from softmap_edge.logs.not_seen import not_seen
-from softmap_edge.logs.plausible import at_rest, axes_for, is_base, rest_axis
+from softmap_edge.logs.plausible import at_rest, axes_for, frame_of, is_base, is_relative, rest_axis
 from softmap_edge.logs.sensor_errors import never_read
 from softmap_edge.logs.table import header_hint
 from softmap_edge.logs.text_columns import text_columns
@@ -269,6 +269,7 @@ def _find_points(sheets: list[Sheet], found: Found) -> None:
         return
     found.base = [triple for triple in triples if is_base(triple[0])]
     triples = [triple for triple in triples if triple not in found.base]
+    _leave_other_frame(sheet, triples, found)
     if not triples:
         triples, found.base = found.base, []
     flat = [name for triple in triples for name in triple]
@@ -327,17 +328,40 @@ def _find_points(sheets: list[Sheet], found: Found) -> None:
             f"markers: {loose}{' …' * (len(best.by_size) > 4)} and what belongs to it, by size "
             "alone"
         )
+    if any(is_relative(one[0]) for one in triples):
+        relative = listed((one[0] for one in triples if is_relative(one[0])), 4)
+        found.assumed.append(
+            f"markers: {relative} are relative to the base by their names, so the base is the origin "
+            "of the log. A base that moves is not seen: `mount` and `camera_drift` cannot be tested"
+        )
     if found.base:
         places = " ".join(f"b{k}:X,Y,Z" for k in range(len(found.base)))
         found.assumed.append(
-            f"base: {len(found.base)} markers are on the clamp by their names; `softmap run align "
-            f"RUN --base {places}` brings the run to the base by them"
+            f"base: {len(found.base)} markers are on the clamp by their names, and measured in the "
+            f"same frame as the others; `softmap run align RUN --base {places}` brings the run to "
+            "the base by them. Leave `base` out if its frame is another one"
         )
     found.label = label_of(sheet)
     if found.label is not None:
         found.assumed.append(
             f"blocks: '{found.label}' names the part of the protocol; folds are cut by it"
         )
+
+
+def _leave_other_frame(sheet: Sheet, triples: list[list[str]], found: Found) -> None:
+    """Leave markers of the base out if their names state another frame than those of the robot."""
+    frames = [{frame_of(place[0]) for place in places} for places in (triples, found.base)]
+    if not all(frames) or None in frames[0] | frames[1] or frames[0] & frames[1]:
+        return
+    own, other = (listed(sorted(filter(None, names)), 3) for names in frames)
+    found.unknown.append(
+        f"where the base is in the frame of the markers: by their names the markers of "
+        f"{_called(sheet)} are in '{own}' and those of the base in '{other}'. The base is left out; "
+        "bring both to one frame, and name its columns in `base`"
+    )
+    reason = f"places in another frame ('{other}')"
+    found.left += [(sheet, LeftOut(tuple(place), reason)) for place in found.base]
+    found.base = []
 
 
 def _length_of(sheet: Sheet, name: str) -> str | None:
