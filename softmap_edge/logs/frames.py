@@ -20,7 +20,7 @@ from softmap_edge.logs.measured import Column, Measured
 from softmap_edge.logs.never_seen import at_one_number, never_moving, never_seen
 from softmap_edge.logs.not_seen import declared, not_seen
 from softmap_edge.logs.other_units import doubts_of_units
-from softmap_edge.logs.plausible import doubts_of_points
+from softmap_edge.logs.plausible import doubts_of_points, is_relative
 from softmap_edge.logs.shifted import find_shifted
 from softmap_edge.logs.swaps import find_swaps, mend_swaps
 from softmap_edge.logs.table import LogTable, place
@@ -107,6 +107,12 @@ def seen(
     if log.markers.axes < 3:
         _flatten(fields, mapping, notes)
     fields["marker_labels"] = np.array(log.markers.labels)
+    if relative := [label for label in log.markers.labels if is_relative(label)]:
+        notes.append(
+            f"markers: {listed(relative, _TOLD)}: relative to the base by the name, so the base is "
+            "the origin of the log and its motion is not seen: `mount` and `camera_drift` cannot "
+            "be tested"
+        )
     if log.base is not None:
         fields["base_markers"] = mapping.to_base(_points(table, log.base, doubts, "base"))
         if PLANE in fields:

@@ -117,6 +117,11 @@ class Sheet:
     more: tuple[str, ...] = ()  # the `file` of further parts that no common pattern names
     booleans: frozenset[str] = frozenset()  # columns that the file holds as booleans
 
+    @property
+    def called(self) -> str:
+        """The name of the file, and of the topic if there is one."""
+        return self.path.name if self.topic is None else f"{self.path.name} {self.topic}"
+
     def column(self, name: str) -> Array:
         """Return the numbers of a column."""
         return np.asarray(self.numbers[:, self.names.index(name)])

@@ -165,8 +165,8 @@ def read_log(path: Path, log: Log, columns: Columns | None = None) -> LogTable:
     cells = without_fills(
         _finite(_cut(path, cells, log), places, names), [names[k] for k in places], drives
     )
-    cells = _without_summaries(columns, cells)
     _within_reason(path, columns.where, cells, places, names)
+    cells = _without_summaries(columns, cells)
     cells, aside = _set_aside(columns.where, cells, [places.index(clock) for clock in clocks])
     t = raw_times(path, columns, cells, places, log.clock)
     times = times_of(

@@ -103,7 +103,12 @@ RANGES: dict[FieldName, tuple[float, float, str, str]] = {
     "ticks": _TICKS,
     "present_ticks": _TICKS,
     "current": (-1e5, 1e5, "mA", "convert it to milliampere"),
-    "temperature": (-80.0, 250.0, "°C", "subtract 273.15 if it is in kelvin"),
+    "temperature": (
+        -80.0,
+        250.0,
+        "°C",
+        "subtract 273.15 if it is in kelvin, and leave out what a failed sensor writes (-127)",
+    ),
     "gravity": (-1e3, 1e3, "", "give a unit vector in the base frame"),
     "command": (-1e12, 1e12, "", "give the command in mm of tendon or in `command_unit`"),
     "present": (-1e12, 1e12, "", "give the encoder positions in mm of tendon or in `command_unit`"),

@@ -1,4 +1,4 @@
-"""A column of 0 and 1 without a telling name is no coordinate, and a command only with a question."""
+"""A column of 0 and 1 with an unclear name is no coordinate, and a command only with a question."""
 
 import math
 import tomllib
