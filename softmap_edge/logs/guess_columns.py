@@ -325,8 +325,9 @@ def points_of(sheet: Sheet) -> Triples:
 def _likelihood(sheet: Sheet, place: Sequence[str]) -> str | None:
     """Return the column with the likelihood of a position; None without one."""
     name = likelihood_of(place, sheet.names) if sheet.header else None
-    known = name is not None and name not in sheet.texts and is_likelihood(sheet.column(name))
-    return name if known else None
+    if name is None or name in sheet.texts:
+        return None
+    return name if is_likelihood(sheet.column(name), len(name) == len(place[0])) else None
 
 
 def _points_of(sheet: Sheet, gone: set[str]) -> Triples:

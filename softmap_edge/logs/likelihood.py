@@ -23,6 +23,7 @@ Mask = NDArray[np.bool_]
 
 _WORDS = re.compile(r"likelihood|score|confidence|conf|probability|prob|certainty|c|p", re.I)
 _MOST = 1.5  # scores of SLEAP pass 1 a little
+_SURE = 0.7  # median of likelihoods that one letter names
 _LISTED = 5  # markers that are listed
 PIXEL_WORDS = ("px", "pix", "pixel", "pixels")
 
@@ -47,11 +48,18 @@ def likelihood_of(place: Sequence[str], names: Sequence[str]) -> str | None:
     return None
 
 
-def is_likelihood(values: Array) -> bool:
-    """Return whether numbers (rows,) may be likelihoods: from 0 to about 1, and not all equal."""
+def is_likelihood(values: Array, letter: bool) -> bool:
+    """Return whether numbers (rows,) may be likelihoods: from 0 to about 1, and not all equal.
+
+    Args:
+        values: of the column.
+        letter: whether one letter names it, as in `Tip_c`: then most must be near 1, for `tip_p`
+            may be a pressure as well.
+    """
     known = values[np.isfinite(values)]
-    inside = bool(len(known)) and known.min() >= 0.0 and known.max() <= _MOST
-    return inside and float(np.ptp(known)) > 0.0
+    if not len(known) or known.min() < 0.0 or known.max() > (1.0 if letter else _MOST):
+        return False
+    return bool(np.ptp(known) > 0.0 and (not letter or np.median(known) > _SURE))
 
 
 def unlikely(table: LogTable, quantity: Quantity) -> Mask:

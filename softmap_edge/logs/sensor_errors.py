@@ -6,10 +6,11 @@ the column enters and leaves it only by a jump. It counts as an error if it is
 
     known      one of `KNOWN` temperatures, or one of `MARKS` (fills.py) far beyond all others; of
                loads only a negative one, for 999 g is a load
-    far        repeated, between other numbers, farther from all of them than they differ
+    far        repeated in few rows, between others, farther from all of them than they differ
 
-A temperature cannot jump and return, for the robot has heat to lose. A load can: there the other
-numbers must be noisy, because a noisy scale repeats no number and a typed load has no noise.
+A temperature cannot jump and return, for the robot has heat to lose; in many rows it may be that of
+another session. A load can: there the other numbers must be noisy, because a noisy scale repeats no
+number and a typed load has no noise.
 Pinned by tests/logs/test_sensor_errors.py.
 """
 
@@ -34,6 +35,7 @@ LEAPS = 5.0  # likewise, of another number
 FAR = 2.0  # times the range of the other numbers
 MOST = 4  # numbers of one column that are tested
 LEAST, DIFFERENT = 5, 3  # other numbers in all, and different ones
+FEW = 0.2  # of all rows: most that hold a number which is not a known error
 NOISY = 0.5  # share of the other rows with a number of their own
 
 
@@ -144,7 +146,7 @@ def _is_error(column: Array, at: Mask, others: Mask, known: bool, name: str) -> 
         return True
     numbers, count = np.unique(rest, return_counts=True)
     away = float(np.abs(rest - row[inside][0]).min())
-    if len(numbers) < DIFFERENT or away <= FAR * float(np.ptp(rest)):
+    if inside.mean() > FEW or len(numbers) < DIFFERENT or away <= FAR * float(np.ptp(rest)):
         return False
     noisy = float((count == 1).sum()) > NOISY * len(rest)
     return _between(inside) and (noisy or name == "temperature")

@@ -121,6 +121,18 @@ def test_places_in_pixels_without_a_likelihood(tmp_path, name):
     assert any("pixels, which are no mm" in doubt for doubt in read(path).doubts)
 
 
+def test_a_pressure_is_no_likelihood(tmp_path):
+    head = "time,cmd_1,tip_x,tip_y,tip_p"
+    lines = [
+        ",".join(
+            [f"{k / 30:.4f}", f"{np.sin(k):.3f}", *cells(k)[6:8], f"{0.3 + 0.3 * np.sin(k):.3f}"]
+        )
+        for k in range(FRAMES)
+    ]
+    text = guess_mapping([write(tmp_path / "log.csv", head, lines)]).text
+    assert "likelihood" not in text and 'unit = "px"' not in text
+
+
 def test_two_bodies_in_columns_and_in_rows(tmp_path):
     lines = [",".join([str(k), *cells(k)]) for k in range(FRAMES)]
     bodies = "individuals," + ",".join(["robot"] * 6 + ["rat"] * 3)

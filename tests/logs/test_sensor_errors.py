@@ -72,6 +72,10 @@ def test_an_error_of_a_sensor_is_missing_and_counted(tmp_path, name, usual, erro
         ("temperature_c", [f"{20 + 1.2 * k:.2f}" for k in range(COUNT)]),  # passes 85 nearly
         ("temperature_c", ["85.0" if k == 30 else f"{80 + k / 6:.1f}" for k in range(COUNT)]),
         ("temperature_c", ["20.0"] * 30 + [f"{60 + 0.01 * k:.2f}" for k in range(30)]),  # chamber
+        (
+            "temperature_c",  # three sessions, in steps of half a degree
+            ["60.0" if 20 <= k < 40 else f"{20 + 0.5 * (k % 4):.1f}" for k in range(COUNT)],
+        ),
         ("load_g", ["0"] * 20 + ["50"] * 20 + ["0"] * 20),  # typed
         ("load_g", ["0"] * 10 + ["20"] * 10 + ["50"] * 10 + ["999"] * 10 + ["0"] * 20),
         ("load_g", [f"{x:.2f}" for x in np.where(TIMES < 30, 0.0, NOISY)]),  # put on once
