@@ -9,8 +9,9 @@ If the run was aligned by these markers (`softmap run align`), `placed` is the r
 that alignment. In a diagnosis the reference is an earlier run (`--reference`), or the place that
 `softmap learn` stored in `made_from`. The parameters of `mount` are then fitted within SIGMAS of
 the measured pose. `mount` and `camera_drift` are no candidates if the markers show that the base
-cannot have moved the body visibly. Units: mm, deg. Limit: a rotation needs three markers that are
-not on a line. Pinned by tests/alignment/test_base_motion.py.
+cannot have moved the body visibly. A place that repeats to the last digit in all frames was not
+measured in them (a log of tip minus base, a typed place), so it bounds nothing. Units: mm, deg.
+Limit: a rotation needs three markers that are not on a line. Pinned by tests/alignment/test_base_motion.py.
 """
 
 from __future__ import annotations
@@ -129,7 +130,7 @@ def base_motion(run: Run, reference: Run | None = None) -> BaseMotion | None:
 
     Returns:
         BaseMotion | None: None if fewer than eight frames show three markers that are not on a
-            line.
+            line, or if a marker is at one place to the last digit in all of them.
 
     Raises:
         AlignError: the field has another shape.
@@ -143,7 +144,8 @@ def base_motion(run: Run, reference: Run | None = None) -> BaseMotion | None:
             else None
         )
     other = _complete(base_markers(reference))
-    return _measured(points, other.mean(axis=0), len(other)) if len(other) >= LEAST_FRAMES else None
+    known = len(other) >= LEAST_FRAMES and not _constant(other)
+    return _measured(points, other.mean(axis=0), len(other)) if known else None
 
 
 def _measured(points: Floats, place: Floats, count: int) -> BaseMotion | None:
@@ -152,6 +154,7 @@ def _measured(points: Floats, place: Floats, count: int) -> BaseMotion | None:
         points.shape[1:] != place.shape
         or points.shape[1] < LEAST_MARKERS
         or len(points) < LEAST_FRAMES
+        or _constant(points)
     ):
         return None
     size = np.linalg.svd(place - place.mean(axis=0), compute_uv=False)
@@ -184,7 +187,7 @@ def _measured(points: Floats, place: Floats, count: int) -> BaseMotion | None:
 def kept_places(runs: Sequence[Run]) -> Document:
     """Return the places of the first run's base markers, for `made_from` of a model; or {}."""
     points = _complete(base_markers(runs[0]))
-    if points.shape[1] < LEAST_MARKERS or len(points) < LEAST_FRAMES:
+    if points.shape[1] < LEAST_MARKERS or len(points) < LEAST_FRAMES or _constant(points):
         return {}
     return {PLACES: np.round(points.mean(axis=0), 4).tolist()}
 
@@ -270,6 +273,11 @@ def _place(made_from: Mapping[str, object]) -> Floats | None:
 def _complete(points: Floats) -> Floats:
     """Return the frames that show every base marker."""
     return points[np.isfinite(points).all(axis=(1, 2))]
+
+
+def _constant(points: Floats) -> bool:
+    """Return whether a marker of (K, B, 3) is at one place to the last digit in all frames."""
+    return bool((points == points[:1]).all(axis=(0, 2)).any())
 
 
 def _sigma(place: Floats, noise: float) -> Floats:

@@ -48,6 +48,8 @@ def _roles(log: Log) -> Iterator[tuple[str, Column]]:
         if points is not None:
             for k, column in enumerate(points.columns):
                 yield f"{kind} {k // points.axes + 1} {'xyz'[k % points.axes]}", column
+            for k, column in enumerate(points.likelihood):
+                yield f"{kind} {k + 1} likelihood", column
     if log.output is not None:
         for k, column in enumerate(log.output.columns):
             yield f"output {k + 1}", column

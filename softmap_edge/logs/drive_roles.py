@@ -1,8 +1,9 @@
 """Sort column groups that may be commands or encoders, and exclude those that cannot be.
 
-Values count more than names: moving columns come before constant ones, and unit quaternions are
-not encoders. Goals in x, y, z come last, because a position controller logs them next to the
-commands of its motors. Pinned by tests/logs/test_drive_roles.py.
+Values count more than names: moving columns come before constant ones and before those that are
+only 0 and 1, and unit quaternions are not encoders. Goals in x, y, z come last, because a position
+controller logs them next to the commands of its motors. Pinned by tests/logs/test_drive_roles.py
+and tests/logs/test_switches.py.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.logs.flags import is_switch
 from softmap_edge.logs.goals import is_goal
 from softmap_edge.logs.guess_columns import Role, Sheet
 from softmap_edge.logs.triples import LeftOut
@@ -47,12 +49,22 @@ def moves(pair: Pair) -> bool:
     return any(len(np.unique(values[np.isfinite(values)])) > 1 for values in columns)
 
 
-def _command_order(pair: Pair) -> tuple[bool, bool, bool, int]:
-    return not moves(pair), _in_space(pair[1].columns), not pair[1].sure, -len(pair[1].columns)
+def switches_of(pair: Pair) -> list[str]:
+    """Return the columns of a group that hold only 0 and 1."""
+    return [name for name in pair[1].columns if is_switch(pair[0].column(name))]
 
 
-def _present_order(pair: Pair) -> tuple[bool, bool, int]:
-    return not moves(pair), not pair[1].sure, -len(pair[1].columns)
+def _switched(pair: Pair) -> bool:
+    return len(switches_of(pair)) == len(pair[1].columns)
+
+
+def _command_order(pair: Pair) -> tuple[bool, bool, bool, bool, int]:
+    unsure, width = not pair[1].sure, len(pair[1].columns)
+    return not moves(pair), _switched(pair), _in_space(pair[1].columns), unsure, -width
+
+
+def _present_order(pair: Pair) -> tuple[bool, bool, bool, int]:
+    return not moves(pair), _switched(pair), not pair[1].sure, -len(pair[1].columns)
 
 
 def _in_space(columns: list[str]) -> bool:

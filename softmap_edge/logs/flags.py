@@ -3,7 +3,8 @@
 Booleans always count as such labels. Other numbers count if the name says so, and if they are few
 small whole numbers, or lie in 0 to 1 where the name is that of a probability. Words count if the
 name says so, or if all of them are words of flags. Such columns are no places, commands or
-encoders.
+encoders. A column of 0 and 1 without such a name may be a flag: it is no coordinate, and a command
+only with a question.
 Pinned by tests/logs/test_flags.py.
 """
 
@@ -61,6 +62,12 @@ def flags_of(names: Sequence[str], numbers: Array, booleans: Collection[str]) ->
             found |= set(members)
         found |= {k for k in members if names[k] in booleans}
     return [name for k, name in enumerate(names) if k in found]
+
+
+def is_switch(values: Array) -> bool:
+    """Return whether numbers (rows,) are only 0 and 1, and both: a flag or a switch of any name."""
+    kinds = np.unique(values[np.isfinite(values)])
+    return len(kinds) == 2 and bool((kinds == (0.0, 1.0)).all())
 
 
 def are_flags(name: str, texts: Sequence[str]) -> bool:

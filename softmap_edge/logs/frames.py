@@ -12,14 +12,16 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError, differing_times
 from softmap_edge.files.atomic import Document
+from softmap_edge.files.printable import listed
 from softmap_edge.logs.held import LONGEST_HOLD, repeated_frames
-from softmap_edge.logs.mapping import FILE, LENGTH, Log, Mapping, Quantity
+from softmap_edge.logs.likelihood import lines_of, unlikely
+from softmap_edge.logs.mapping import FILE, LENGTH, PIXEL, Log, Mapping, Quantity
 from softmap_edge.logs.measured import Column, Measured
 from softmap_edge.logs.mixed_units import places_question
-from softmap_edge.logs.never_seen import at_one_number, never_seen
+from softmap_edge.logs.never_seen import at_one_number, never_moving, never_seen
 from softmap_edge.logs.not_seen import declared, not_seen
 from softmap_edge.logs.other_units import doubts_of_units
-from softmap_edge.logs.plausible import doubts_of_points
+from softmap_edge.logs.plausible import doubts_of_points, is_relative
 from softmap_edge.logs.shifted import find_shifted
 from softmap_edge.logs.swaps import find_swaps, mend_swaps
 from softmap_edge.logs.table import LogTable, place
@@ -29,6 +31,10 @@ from softmap_edge.run.plane import AXES, PLANE
 Array = NDArray[np.float64]
 _TOLD = 5  # swaps, and unseen markers, that are listed
 _SLOW = 25.0  # % of frames that repeat: the camera is slower than the log
+_RELATIVE = (
+    "Places relative to the base (tip minus base), or a typed one, look like this: then a base "
+    "that moves is not seen, and `mount` and `camera_drift` cannot be tested by it"
+)
 _OF_FRAMES = ("markers", "visible", "block", "base_markers")
 
 
@@ -69,12 +75,14 @@ def seen(
         table = _without_lost(table, log.output, log.output.names, commands, 1, notes, doubts)
         return _outputs(table, log, log.output, fields, notes, doubts)
     assert log.markers is not None
+    table = _without_unlikely("markers", table, log.markers, log.markers.labels, notes)
     table = _without_unseen(table, log.markers, notes, doubts)
     table = _without_lost(
         table, log.markers, log.markers.labels, commands, log.markers.axes, notes, doubts
     )
     if log.base is not None:
         named = tuple(f"base {b}" for b in range(len(log.base.columns) // log.base.axes))
+        table = _without_unlikely("base", table, log.base, named, notes)
         _tell_base(table, log.base, named, doubts)
         table = _without_lost(table, log.base, named, commands, log.base.axes, notes, doubts)
     table = _without_shifts(table, log.markers, doubts)
@@ -100,6 +108,12 @@ def seen(
     if log.markers.axes < 3:
         _flatten(fields, mapping, notes)
     fields["marker_labels"] = np.array(log.markers.labels)
+    if relative := [label for label in log.markers.labels if is_relative(label)]:
+        notes.append(
+            f"markers: {listed(relative, _TOLD)}: relative to the base by the name, so the base is "
+            "the origin of the log and its motion is not seen: `mount` and `camera_drift` cannot "
+            "be tested"
+        )
     if log.base is not None:
         fields["base_markers"] = mapping.to_base(_points(table, log.base, doubts, "base"))
         if PLANE in fields:
@@ -146,6 +160,19 @@ def _without_lost(
     )
 
 
+def _without_unlikely(
+    name: str, table: LogTable, quantity: Quantity, labels: tuple[str, ...], notes: list[str]
+) -> LogTable:
+    """Return the table with NaN for places of a low likelihood, and count them."""
+    if not quantity.likelihood:
+        return table
+    gone = unlikely(table, quantity)
+    notes += lines_of(name, table, quantity, labels, gone)
+    points = table.numbers(quantity.columns).reshape(*gone.shape, quantity.axes)
+    points[gone] = np.nan
+    return _with_numbers(table, quantity.columns, points)
+
+
 def _without_unseen(
     table: LogTable, markers: Quantity, notes: list[str], doubts: list[str]
 ) -> LogTable:
@@ -176,15 +203,24 @@ def _without_unseen(
 
 
 def _tell_base(table: LogTable, base: Quantity, labels: tuple[str, ...], doubts: list[str]) -> None:
-    """Report markers of the base at 0, 0, 0 in every row; they are kept."""
+    """Report markers of the base at one place to the last digit in every row; they are kept."""
     if base.not_seen is None:
         return
     points = table.numbers(base.columns).reshape(len(table.t), -1, base.axes)
+    zero = never_seen(points)
     doubts += [
-        f"base: {each}: kept as the origin of the log. If it was never seen, leave the columns "
-        'out; base.not_seen = "keep" if it is there'
-        for each in at_one_number(points, never_seen(points).tolist(), labels)
+        f"base: {each}: kept as the origin of the log. {_RELATIVE}. If it was never seen, leave "
+        'the columns out; base.not_seen = "keep" if it is there'
+        for each in at_one_number(points, zero.tolist(), labels)
     ]
+    still = [m for m in never_moving(points) if m not in zero]
+    if still:
+        named = listed((labels[m] for m in still), _TOLD)
+        doubts.append(
+            f"base: {named} at one place to the last digit in all {len(points)} frames, so it was "
+            f'not measured in each of them. {_RELATIVE}; base.not_seen = "keep" if the base '
+            "cannot move"
+        )
 
 
 def _without_shifts(table: LogTable, markers: Quantity, doubts: list[str]) -> LogTable:
@@ -298,9 +334,15 @@ def _points(table: LogTable, quantity: Quantity, doubts: list[str], name: str = 
         units = [unit if unit in LENGTH else usual for unit in stated for _ in range(quantity.axes)]
     unit = units[0]
     other = doubts_of_units(name, table, quantity, units)
+    if unit == PIXEL and (quantity.scale == 1.0).all():
+        other = [
+            f"{name}: in pixels, which are no mm: a pixel counts as 1 mm, and every length of the "
+            f"run is wrong by that factor; set {name}.scale to the mm of one pixel, from a length "
+            "that you know in the picture"
+        ]
     doubts += other
     raw = table.numbers(quantity.columns)
-    raw *= [LENGTH[unit] for unit in units]
+    raw *= [1.0 if unit == PIXEL else LENGTH[unit] for unit in units]
     raw *= quantity.scale
     raw += quantity.offset
     points = raw.reshape(len(raw), -1, quantity.axes)
@@ -310,7 +352,7 @@ def _points(table: LogTable, quantity: Quantity, doubts: list[str], name: str = 
         question = None if quantity.scaled else places_question(points, quantity.labels)
         if question is not None:
             raise RunError(f"{table.path}: {name}: {question}")
-        doubts += doubts_of_points(points, unit, name)
+        doubts += doubts_of_points(points, "mm" if unit == PIXEL else unit, name)
     return points
 
 

@@ -19,35 +19,36 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
 from softmap_edge.files.atomic import Document
-from softmap_edge.files.printable import plain_line
-from softmap_edge.logs.drive_roles import drives_of
+from softmap_edge.files.printable import listed, plain_line
+from softmap_edge.logs.drive_roles import drives_of, switches_of
 from softmap_edge.logs.fills import unread_ticks
-from softmap_edge.logs.flags import REASON
-from softmap_edge.logs.guess_bare import places_by_value
 from softmap_edge.logs.guess_columns import (
+    TRACKED,
+    Role,
     Sheet,
     drive_unit,
-    label_of,
-    length_unit,
-    points_of,
     read_sheets,
     roles_of,
-    stated_of,
 )
 from softmap_edge.logs.guess_parts import joined_parts
+from softmap_edge.logs.guess_points import find_points, places_of
 from softmap_edge.logs.guess_text import Found, mapping_text, seconds
 from softmap_edge.logs.guess_time import RATE_HZ, time_of
 from softmap_edge.logs.importer import import_logs
-from softmap_edge.logs.left_out import by_reason, no_place, no_role, worth
+from softmap_edge.logs.left_out import no_role
 from softmap_edge.logs.lerobot import EITHER_UNIT
-from softmap_edge.logs.mapping import ANGLE, LENGTH, UNITS, parse_mapping
-from softmap_edge.logs.never_seen import at_one_number, never_seen
-from softmap_edge.logs.not_seen import not_seen
-from softmap_edge.logs.plausible import at_rest, axes_for, is_base, rest_axis
+from softmap_edge.logs.mapping import (
+    ANGLE,
+    CONDITIONS,
+    LENGTH,
+    UNITS,
+    parse_mapping,
+)
+from softmap_edge.logs.plausible import at_rest, axes_for, rest_axis
+from softmap_edge.logs.sensor_errors import never_read
 from softmap_edge.logs.table import header_hint
 from softmap_edge.logs.text_columns import text_columns
-from softmap_edge.logs.triples import LeftOut, Triples
-from softmap_edge.logs.unit_words import LENGTH_WORDS, unit_in_name
+from softmap_edge.logs.triples import LeftOut
 
 Array = NDArray[np.float64]
 
@@ -107,13 +108,14 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
     for k, sheet in enumerate(sheets):
         if not sheet.header:
             found.assumed.append(
-                f"columns of {_called(sheet)}: no line names them, so they are numbers from 0"
+                f"columns of {sheet.called}: no line names them, so they are numbers from 0"
             )
         if sheet.why:
             lines = found.unknown if sheet.pivot is None else found.assumed
-            lines.append(f"rows of {_called(sheet)}: {sheet.why}")
+            lines.append(f"rows of {sheet.called}: {sheet.why}")
+        found.unknown += _several_bodies(sheet)
         time = found.times[k] = time_of(sheet, alone=len(sheets) == 1)
-        found.assumed.append(f"time of {_called(sheet)}: {time.why}")
+        found.assumed.append(f"time of {sheet.called}: {time.why}")
         found.unknown += [time.doubt] if time.doubt else []
         if time.unit == "rows":
             what = (
@@ -122,16 +124,15 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
                 else "how fast rows were logged"
             )
             found.unknown.append(
-                f"{what} in {_called(sheet)}: {RATE_HZ} Hz is written; put the rate of the log "
-                "there"
+                f"{what} in {sheet.called}: {RATE_HZ} Hz is written; put the rate of the log there"
             )
         elif time.unit == "none":
             found.unknown.append(
-                f'how fast rows were logged in {_called(sheet)}: time = "none" is written, and '
+                f'how fast rows were logged in {sheet.called}: time = "none" is written, and '
                 "nothing about rates or "
                 "delays can be learned; write time = { rate_hz = … } if you know the rate"
             )
-    _find_points(sheets, found)
+    find_points(sheets, found)
     _find_drives(sheets, found)
     if found.points is None and found.command is None:
         raise _nothing_found(sheets)
@@ -158,7 +159,7 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
 def _nothing_found(sheets: list[Sheet]) -> RunError:
     """Return the error that no column is named like a command or a marker."""
     seen = "; ".join(
-        f"{_called(sheet)}: {', '.join(map(_range_of(sheet), sheet.names))}" for sheet in sheets
+        f"{sheet.called}: {', '.join(map(_range_of(sheet), sheet.names))}" for sheet in sheets
     )
     seen = seen if len(seen) <= 600 else f"{seen[:600].rpartition(', ')[0] or seen[:600]} …"
     hint = next((hint for sheet in sheets if (hint := header_hint(sheet.head_line))), "")
@@ -177,8 +178,14 @@ def _tried(files: list[Path], text: str) -> tuple[str, ...]:
     return (*done.notes, *(f"look at: {doubt}" for doubt in done.doubts))
 
 
-def _called(sheet: Sheet) -> str:
-    return sheet.path.name if sheet.topic is None else f"{sheet.path.name} {sheet.topic}"
+def _several_bodies(sheet: Sheet) -> list[str]:
+    """Return the question which body is the robot, if rows of several follow each other."""
+    return [
+        f"which body is the robot: '{name}' of {sheet.called} holds {listed(bodies, 3)}, each in "
+        "rows of its own; keep the rows of one, or export one column for each coordinate of each"
+        for name, texts in sheet.texts.items()
+        if TRACKED.fullmatch(name) and len(bodies := list(dict.fromkeys(filter(None, texts)))) > 1
+    ]
 
 
 def _left_out(sheet: Sheet, time: tuple[str, ...], found: Found) -> list[str]:
@@ -195,20 +202,21 @@ def _left_out(sheet: Sheet, time: tuple[str, ...], found: Found) -> list[str]:
     used |= {name for other, one in found.left if other is sheet for name in one.columns}
     if found.points is not None and found.points[0] is sheet:
         used |= {name for triple in [*found.points[1], *found.base] for name in triple}
+        used |= {*found.likelihood.values()}
     varies = [
         name
         for name in sheet.names
         if np.unique(sheet.column(name)[np.isfinite(sheet.column(name))]).size > 1
     ]
     left = [name for name in varies if name not in used]
-    own = text_columns(_called(sheet), sheet.texts, used, [name for name in varies if name in used])
+    own = text_columns(sheet.called, sheet.texts, used, [name for name in varies if name in used])
     if not left:
         return own
     named = ", ".join(map(_range_of(sheet), left[:6])) + (
         f" and {len(left) - 6} more" if len(left) > 6 else ""
     )
     return [
-        f"what these columns of {_called(sheet)} are: {named}; they are left out, add them if the "
+        f"what these columns of {sheet.called} are: {named}; they are left out, add them if the "
         "run needs them",
         *own,
     ]
@@ -227,153 +235,22 @@ def _range_of(sheet: Sheet) -> Callable[[str], str]:
     return described
 
 
-# --- what is what --------------------------------------------------------------------------
-def _find_points(sheets: list[Sheet], found: Found) -> None:
-    each = [
-        (points_of(sheet) if sheet.header else _bare_places(sheets, found, k), sheet)
-        for k, sheet in enumerate(sheets)
-    ]
-    found.left = [(sheet, one) for triples, sheet in each for one in triples.left]
-    found.unknown += [
-        no_role(_called(sheet), one) if one.why == REASON else no_place(_called(sheet), one)
-        for sheet, one in by_reason(found.left)
-    ]
-    best, sheet = max(each, key=worth)
-    triples = _seen_places(sheet, best.places, found)
-    if not triples:
-        found.unknown.append(
-            "where the markers are: no columns named x, y, z of a place; nothing is seen in this "
-            "run"
-        )
-        return
-    found.base = [triple for triple in triples if is_base(triple[0])]
-    triples = [triple for triple in triples if triple not in found.base]
-    if not triples:
-        triples, found.base = found.base, []
-    flat = [name for triple in triples for name in triple]
-    points = _places(sheet, triples)
-    named = LENGTH_WORDS.get(unit_in_name(flat[0], LENGTH_WORDS) or "")
-    odd = None if named else stated_of(sheet, flat[0], LENGTH_WORDS)
-    unit, why = (
-        (named, f"their names say {named}")
-        if named
-        else length_unit(points, sheet.units.get(flat[0]))
-    )
-    if odd is not None:
-        found.unknown.append(
-            f"the unit of the markers: the log states '{odd}', which is no unit of places in this "
-            f"program: {unit} is written by size alone. Give unit and scale: mm for one '{odd}'"
-        )
-    found.points = (sheet, triples, unit)
-    found.scales = _scales(sheet, [*flat, *(name for triple in found.base for name in triple)])
-    if found.scales:
-        units = ", ".join(dict.fromkeys(_length_of(sheet, name) or unit for name in found.scales))
-        found.assumed.append(
-            f"markers: {next(iter(found.scales))} and others are in {units}, as the log states; "
-            f"they are converted to the unit of {flat[0]}"
-        )
-    found.assumed.append(
-        f"markers: {len(triples)} of {_called(sheet)}, in the order of the columns, base first; "
-        f"{why}"
-    )
-    if len(triples[0]) == 2:
-        found.assumed.append(
-            "markers: they lie in a plane, for there is no z; the third coordinate counts as 0 "
-            "and as not measured"
-        )
-    if best.by_size:
-        loose = ", ".join(one[0] for one in best.by_size[:4])
-        found.assumed.append(
-            f"markers: {loose}{' …' * (len(best.by_size) > 4)} and what belongs to it, by size "
-            "alone"
-        )
-    if found.base:
-        places = " ".join(f"b{k}:X,Y,Z" for k in range(len(found.base)))
-        found.assumed.append(
-            f"base: {len(found.base)} markers are on the clamp by their names; `softmap run align "
-            f"RUN --base {places}` brings the run to the base by them"
-        )
-    found.label = label_of(sheet)
-    if found.label is not None:
-        found.assumed.append(
-            f"blocks: '{found.label}' names the part of the protocol; folds are cut by it"
-        )
-
-
-def _length_of(sheet: Sheet, name: str) -> str | None:
-    """Return the unit of length that the log states for a column."""
-    word = unit_in_name(name, LENGTH_WORDS)
-    unit = LENGTH_WORDS[word] if word else sheet.units.get(name)
-    return unit if unit in LENGTH else None
-
-
-def _scales(sheet: Sheet, names: list[str]) -> dict[str, float]:
-    """Return the factors of columns that the log states in another unit than the first one."""
-    first = _length_of(sheet, names[0])
-    units = {name: _length_of(sheet, name) for name in names}
-    return {
-        name: LENGTH[unit] / LENGTH[first]
-        for name, unit in units.items()
-        if first is not None and unit is not None and unit != first
-    }
-
-
-def _seen_places(sheet: Sheet, places: list[list[str]], found: Found) -> list[list[str]]:
-    """Return the places without those at 0, 0, 0 in every row, which are reported.
-
-    Markers on the clamp stay, since they may be the origin of the log.
-    """
-    points = [sheet.rows_of(one)[:, None] for one in places]
-    gone = [k for k, one in enumerate(places) if len(never_seen(points[k])) and not is_base(one[0])]
-    if not gone or len(gone) == len(places):
-        return places
-    for k in gone:
-        what = at_one_number(points[k], [0], [", ".join(places[k])])[0]
-        found.unknown.append(
-            f"whether this is a place in {_called(sheet)}: {what}: the marker was never seen, or "
-            "is the origin of the log; left out. To keep it, add it to `markers` and set "
-            'not_seen = "keep"'
-        )
-        found.left.append((sheet, LeftOut(tuple(places[k]), "a marker that was never seen")))
-    return [one for k, one in enumerate(places) if k not in gone]
-
-
-def _places(sheet: Sheet, places: list[list[str]]) -> Array:
-    """Return markers (rows, M, 3) from columns, NaN where not seen; z is 0 in a plane."""
-    flat = [name for one in places for name in one]
-    points = sheet.rows_of(flat).reshape(len(sheet.numbers), len(places), -1)
-    points[not_seen(points).mask] = np.nan
-    return np.concatenate([points, np.zeros((*points.shape[:2], 3 - points.shape[2]))], axis=2)
-
-
-def _bare_places(sheets: list[Sheet], found: Found, k: int) -> Triples:
-    """Return the positions in a log whose columns have no names."""
-    triples = places_by_value(sheets[k], set(found.times[k].columns))
-    if triples:
-        numbers = ", ".join(" ".join(triple) for triple in triples)
-        found.unknown.append(
-            f"whether columns {numbers} are places: no line names them, their values look like x, "
-            "y, z"
-        )
-    return Triples(triples)
-
-
+# --- the drives ----------------------------------------------------------------------------
 def _find_drives(sheets: list[Sheet], found: Found) -> None:
     spent = {id(sheet): set(found.times[k].columns) for k, sheet in enumerate(sheets)}
     for other, left in found.left:
         spent[id(other)] |= set(left.columns)
     if found.points is not None:
         sheet, triples, _ = found.points
-        spent[id(sheet)] |= {name for triple in [*triples, *found.base] for name in triple} | {
-            found.label or ""
-        }
+        spent[id(sheet)] |= {name for triple in [*triples, *found.base] for name in triple}
+        spent[id(sheet)] |= {*found.likelihood.values(), found.label or ""}
     roles = [(sheet, role) for sheet in sheets for role in roles_of(sheet, spent[id(sheet)])]
     for sheet, role in roles:
         if role.kind != "load":
             sheet.drop_fills(role.columns)
     commands, presents, no_drives = drives_of(roles)
     found.left += no_drives
-    found.unknown += [no_role(_called(sheet), one) for sheet, one in no_drives]
+    found.unknown += [no_role(sheet.called, one) for sheet, one in no_drives]
     if commands:
         found.command = commands[0]
     elif presents:
@@ -391,7 +268,7 @@ def _find_drives(sheets: list[Sheet], found: Found) -> None:
     found.present = fits[0] if fits else None
     sheet, role = found.command
     found.assumed.append(
-        f"commands: {width} columns of {_called(sheet)}, {role.why}, in the order of the file"
+        f"commands: {width} columns of {sheet.called}, {role.why}, in the order of the file"
     )
     if not role.sure and found.present is None:
         found.assumed.append(
@@ -400,24 +277,41 @@ def _find_drives(sheets: list[Sheet], found: Found) -> None:
         )
     if found.present is not None:
         found.assumed.append(
-            f"encoders: {width} columns of {_called(found.present[0])}, {found.present[1].why}"
+            f"encoders: {width} columns of {found.present[0].called}, {found.present[1].why}"
         )
-    for pair in roles:
-        if pair[1].kind in {other.kind for _, other in found.others}:
-            continue  # a run holds one of each; it is listed among the columns that are left out
-        one = pair[1].kind in ("temperature", "load") and len(pair[1].columns) == 1
-        if one or (pair[1].kind == "current" and len(pair[1].columns) == width):
-            found.others.append(pair)
-            found.assumed.append(
-                f"{pair[1].kind}: {', '.join(pair[1].columns)} of {_called(pair[0])} by name"
+    for key, pair in (("command", found.command), ("present", found.present)):
+        if pair is not None and (names := switches_of(pair)):
+            found.unknown.append(
+                f"whether `{key}` holds flags: only 0 and 1 in {listed(names, 4)} of "
+                f"{pair[0].called}, as a flag or a switch has; take out what is one"
             )
-            if pair[1].stated is not None:
-                found.unknown.append(
-                    f"the unit of the {pair[1].kind}: the log states '{pair[1].stated}', which is "
-                    f"no unit of it in this program: {UNITS[pair[1].kind][0]} is taken; give scale "
-                    "and offset"
-                )
+    _find_others(roles, width, found)
     _drive_units(found)
+
+
+def _find_others(roles: list[tuple[Sheet, Role]], width: int, found: Found) -> None:
+    """Add currents, one for each of `width` channels, and conditions; say what is left out."""
+    for sheet, role in roles:
+        if role.kind in {other.kind for _, other in found.others}:
+            continue  # a run holds one of each; it is listed among the columns that are left out
+        one = role.kind in CONDITIONS and len(role.columns) == 1
+        if not one and not (role.kind == "current" and len(role.columns) == width):
+            continue
+        named = f"{', '.join(role.columns)} of {sheet.called}"
+        why = never_read(role.kind, role.unit, sheet.rows_of(role.columns)) if one else None
+        if switches_of((sheet, role)):
+            why = "only 0 and 1, as a flag or a switch is"
+        if why is not None:
+            found.left.append((sheet, LeftOut(tuple(role.columns), why)))
+            found.unknown.append(f"the {role.kind}: {named} is {why}, and is left out")
+            continue
+        found.others.append((sheet, role))
+        found.assumed.append(f"{role.kind}: {named} by name")
+        if role.stated is not None:
+            found.unknown.append(
+                f"the unit of the {role.kind}: the log states '{role.stated}', which is no unit of "
+                f"it in this program: {UNITS[role.kind][0]} is taken; give scale and offset"
+            )
 
 
 def _drive_units(found: Found) -> None:
@@ -503,7 +397,9 @@ def _frame(sheets: list[Sheet], found: Found) -> list[str]:
     sheet, triples, unit = found.points
     names = [name for triple in [*triples, *found.base] for name in triple]
     stated = sheet.units.get(names[0]) or "mm"
-    points = _places(sheet, [*triples, *found.base]) * LENGTH[stated if unit == "file" else unit]
+    points = places_of(sheet, [*triples, *found.base]) * LENGTH.get(
+        stated if unit == "file" else unit, 1.0
+    )
     points *= np.array([[found.scales.get(one[0], 1.0)] for one in [*triples, *found.base]])
     rest = _rest(sheets, found, sheet, points)
     base = rest[len(triples) :].mean(axis=0) if found.base else None

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from softmap_edge.errors import RunError
 from softmap_edge.logs.fills import LARGEST, marked_missing
 from softmap_edge.logs.flags import REASON, are_flags, flags_of, named_so, words_of
 from softmap_edge.logs.guess_pivot import find_long
+from softmap_edge.logs.likelihood import is_likelihood, likelihood_of
 from softmap_edge.logs.mapping import LENGTH, UNITS
 from softmap_edge.logs.numbered import without_numbers
 from softmap_edge.logs.pivot import Pivot
@@ -32,7 +33,7 @@ from softmap_edge.logs.readers.mcap_file import Topic
 from softmap_edge.logs.readers.paced import PacedColumns
 from softmap_edge.logs.readers.parquet_log import EPISODE, open_parquet
 from softmap_edge.logs.readers.pivoted import PivotedColumns, pivoted
-from softmap_edge.logs.readers.stated_rate import stated_rate
+from softmap_edge.logs.readers.summaries import summaries
 from softmap_edge.logs.readers.text import TextColumns
 from softmap_edge.logs.readers.unit_cells import refuse_unit_cells
 from softmap_edge.logs.sources import (
@@ -60,6 +61,7 @@ _LABELS = re.compile(
     r"(block|label|segment|trial|phase|pattern|part|condition|experiment)s?"
     r"(id|nr|no|num|number|index|idx|name|label)?"
 )
+TRACKED = re.compile(r"track|instance|individual|scorer|skeleton", re.IGNORECASE)
 _PLACES = re.compile(
     r"marker|point|(^|[._])tip($|_)|xyz|mocap|optitrack|vicon|place|end_?effector", re.IGNORECASE
 )
@@ -119,6 +121,11 @@ class Sheet:
     booleans: frozenset[str] = frozenset()  # columns that the file holds as booleans
     pivot: Pivot | None = None  # of a long table, whose rows are frames here
     why: str = ""  # what shows that it is one, or may be one
+
+    @property
+    def called(self) -> str:
+        """The name of the file, and of the topic if there is one."""
+        return self.path.name if self.topic is None else f"{self.path.name} {self.topic}"
 
     def column(self, name: str) -> Array:
         """Return the numbers of a column."""
@@ -281,6 +288,9 @@ def _sheet(part: Part, columns: Columns, which: list[int]) -> Sheet:
     numbers = np.full((len(cells), len(names)), np.nan)
     at = [which.index(k) for k in places]
     numbers[:, at] = np.where(np.abs(cells) < LARGEST, cells, np.nan)
+    if isinstance(columns, TextColumns) and len(gone := summaries(numbers)):
+        numbers = np.delete(numbers, gone, axis=0)
+        texts = {name: _without(cells, gone.tolist()) for name, cells in texts.items()}
     header = not isinstance(columns, TextColumns) or columns.header
     arrays = isinstance(columns, ArrayColumns)
     episode = (
@@ -304,12 +314,19 @@ def _sheet(part: Part, columns: Columns, which: list[int]) -> Sheet:
         clocks=clocks,
         below=below,
         head_line=columns.head_line,
-        rate_hz=stated_rate(columns.head) if isinstance(columns, TextColumns) else None,
+        rate_hz=columns.stated_rate[1]
+        if isinstance(columns, TextColumns) and columns.stated_rate is not None
+        else None,
         stated=dict(columns.odd_units) if isinstance(columns, TextColumns) else {},
         booleans=frozenset(columns.names[k] for k in which if k in columns.booleans)
         if isinstance(columns, ArrayColumns)
         else frozenset(),
     )
+
+
+def _without(texts: list[str], gone: list[int]) -> list[str]:
+    """Return the texts of the first rows without those of some rows."""
+    return [text for k, text in enumerate(texts) if k not in gone]
 
 
 def _unique(names: list[str]) -> list[str]:
@@ -341,7 +358,19 @@ def points_of(sheet: Sheet) -> Triples:
     """
     flags = sheet.flags()
     found = _points_of(sheet, {*sheet.texts, *flags})
+    likely = {place[0]: name for place in found.places if (name := _likelihood(sheet, place))}
+    if len(likely) == len(found.places):
+        found = replace(found, likelihood=likely)
+        flags = [name for name in flags if name not in likely.values()]
     return replace(found, left=[*found.left, LeftOut(tuple(flags), REASON)]) if flags else found
+
+
+def _likelihood(sheet: Sheet, place: Sequence[str]) -> str | None:
+    """Return the column with the likelihood of a position; None without one."""
+    name = likelihood_of(place, sheet.names) if sheet.header else None
+    if name is None or name in sheet.texts:
+        return None
+    return name if is_likelihood(sheet.column(name), len(name) == len(place[0])) else None
 
 
 def _points_of(sheet: Sheet, gone: set[str]) -> Triples:
@@ -357,7 +386,9 @@ def _points_of(sheet: Sheet, gone: set[str]) -> Triples:
     others = [one for one in found.places if one not in bodies]
     if found.places:
         return Triples(others or bodies, found.left, found.by_size)
-    plane = find_pairs(names, bare, sheet.rows_of)
+    plane = find_pairs(
+        names, bare, sheet.rows_of, lambda pair: _likelihood(sheet, pair) is not None
+    )
     return Triples(plane.places, [*found.left, *plane.left], plane.by_size)
 
 
@@ -549,7 +580,8 @@ def drive_unit(rows: Array, stated: str | None, joint: bool = False) -> tuple[st
 def label_of(sheet: Sheet) -> str | None:
     """Return the column that labels each row's part of the protocol."""
     for name, texts in sheet.texts.items():
-        if not sheet.header or "frame" in name.lower():  # the name of a coordinate frame
+        # the name of a coordinate frame, and of what a tracker of pictures follows
+        if not sheet.header or "frame" in name.lower() or TRACKED.fullmatch(name):
             continue
         labelled = any(map(_LABELS.fullmatch, words_of(name)))
         if are_flags(name, texts) or (mostly_numbers(texts) and not labelled):

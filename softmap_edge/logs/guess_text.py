@@ -11,7 +11,7 @@ from softmap_edge.files.printable import one_line
 from softmap_edge.files.toml import quoted
 from softmap_edge.logs.guess_columns import Role, Sheet
 from softmap_edge.logs.guess_time import TimeFound, cell
-from softmap_edge.logs.mapping import ANGLE, FILE, LENGTH, SCHEMA
+from softmap_edge.logs.mapping import ANGLE, FILE, LENGTH, LIKELIHOOD, PIXEL, SCHEMA
 from softmap_edge.logs.triples import LeftOut
 
 Array = NDArray[np.float64]
@@ -34,6 +34,8 @@ class Found:
     left: list[tuple[Sheet, LeftOut]] = field(default_factory=list)
     # factor to the unit of the markers, for columns of places that the log states in another unit
     scales: dict[str, float] = field(default_factory=dict)
+    # the column with the likelihood of each place, by its first column
+    likelihood: dict[str, str] = field(default_factory=dict)
     label: str | None = None
     times: dict[int, TimeFound] = field(default_factory=dict)
 
@@ -129,15 +131,20 @@ def _inside(sheet: Sheet, found: Found) -> list[str]:
                 f"    [{', '.join(cell(sheet, name) for name in triple)}]," for triple in places
             ]
             scale = _scale(found, unit, [name for triple in places for name in triple])
-            lines += (
-                [f'{kind} = {{ unit = "{unit}", {scale}columns = [', *rows, "] }"] if rows else []
-            )
+            question = "   # UNKNOWN: scale, the mm of one pixel" * (unit == PIXEL)
+            likely = [found.likelihood[place[0]] for place in places if found.likelihood]
+            columns = ", ".join(cell(sheet, name) for name in likely)
+            least = f", likelihood = [{columns}], least_likelihood = {LIKELIHOOD:g}" * bool(likely)
+            first = f'{kind} = {{ unit = "{unit}", {scale}columns = [{question}'
+            lines += [first, *rows, f"]{least} }}"] if rows else []
         lines += [] if found.label is None else [f"block = {cell(sheet, found.label)}"]
     return lines
 
 
 def _scale(found: Found, unit: str, names: list[str]) -> str:
     """Return the key `scale` of places in several units; empty for one unit."""
+    if unit == PIXEL:
+        return "scale = 1.0, "
     factors = [found.scales.get(name, 1.0) for name in names]
     if unit == FILE or set(factors) <= {1.0}:
         return ""

@@ -29,8 +29,13 @@ from softmap_edge.run.fields import ROW_S
 
 Array = NDArray[np.float64]
 RATE_HZ = 100  # assumed rate of a counter
-_COUNTERS = re.compile(r"^(id|frame#?|index|idx|sample|row|count(er)?|nr|no|n|#|)$", re.IGNORECASE)
-_FRAMES = re.compile(r"^frame#?$", re.IGNORECASE)  # never holds time
+_COUNTERS = re.compile(
+    r"^(id|frame#?|frame_?(idx|index|no|nr|num(ber)?)|index|idx|sample|row|count(er)?|nr|no|n|#|)$",
+    re.IGNORECASE,
+)
+_FRAMES = re.compile(
+    r"^frame(#|_?(idx|index|no|nr|num(ber)?))?$", re.IGNORECASE
+)  # never holds time
 _WHOLE = re.compile(r"(seconds|secs?|s)$", re.IGNORECASE)
 _FRACTION = {
     "ns": re.compile(r"(nano_?sec(onds|s)?|n_?secs?|ns)$", re.IGNORECASE),

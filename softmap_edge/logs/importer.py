@@ -29,7 +29,7 @@ from softmap_edge.logs.clock import corrected
 from softmap_edge.logs.column_roles import doubts_of_roles
 from softmap_edge.logs.frames import choose_frames, seen
 from softmap_edge.logs.held import unhold
-from softmap_edge.logs.mapping import ANGLE, LENGTH, Mapping, Quantity, read_mapping
+from softmap_edge.logs.mapping import ANGLE, CONDITIONS, LENGTH, Mapping, Quantity, read_mapping
 from softmap_edge.logs.mixed_units import drives_question
 from softmap_edge.logs.other_units import doubts_of_units
 from softmap_edge.logs.plausible import (
@@ -40,6 +40,7 @@ from softmap_edge.logs.plausible import (
     doubts_of_time,
     doubts_of_unread,
 )
+from softmap_edge.logs.sensor_errors import without_errors
 from softmap_edge.logs.sources import assign, named, open_parts, parts_of
 from softmap_edge.logs.table import LogTable, read_log
 from softmap_edge.logs.time_names import is_time_name
@@ -278,9 +279,12 @@ def _command_rows(
         t = tables[k].t[given]
     for k, log in enumerate(mapping.logs):
         for name, quantity in log.rows.items():
-            own, values = _filled(
-                name, tables[k], counted_on(name, tables[k], quantity, notes, doubts)
+            raw = (
+                without_errors(name, tables[k], quantity, notes, doubts)
+                if name in CONDITIONS
+                else counted_on(name, tables[k], quantity, notes, doubts)
             )
+            own, values = _filled(name, tables[k], raw)
             other = doubts_of_units(name, tables[k], quantity)
             question = None if other else _mixed(name, tables[k], quantity, values)
             if question is not None:
@@ -298,7 +302,7 @@ def _command_rows(
                 elif quantity.held == "unhold":
                     notes.append(f"{name}: no held samples found")
             column = values if t is None or np.array_equal(t, own) else _interpolate(t, own, values)
-            if name in ("temperature", "load"):
+            if name in CONDITIONS:
                 fields[name] = column[:, 0]
             else:
                 fields[name] = np.rint(column) if "ticks" in name else column

@@ -40,7 +40,10 @@ Array = NDArray[np.float64]
 
 SCHEMA = "softmap.mapping/1"
 POINTS = ("markers", "base")
+CONDITIONS = ("temperature", "load")  # of the robot: one column each
 FILE = "file"  # the unit that the file itself states; mm where it states none
+PIXEL = "px"  # of a picture: no length, so `scale` gives the mm of one pixel
+LIKELIHOOD = 0.6  # least likelihood of a place that counts as seen, as DeepLabCut plots it
 LENGTH = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3, "in": 25.4, "ft": 304.8}  # → mm
 ANGLE = ("deg", "rad")
 UNITS: dict[str, tuple[str, ...]] = {
@@ -51,8 +54,8 @@ UNITS: dict[str, tuple[str, ...]] = {
     "current": ("mA", "A"),
     "temperature": ("degC", "K"),
     "load": ("g", "kg", "N"),
-    "markers": (*LENGTH, FILE),
-    "base": (*LENGTH, FILE),
+    "markers": (*LENGTH, FILE, PIXEL),
+    "base": (*LENGTH, FILE, PIXEL),
 }
 KEYS = (
     *("schema", "robot", "command_unit", "zero_time", "log"),
@@ -69,6 +72,8 @@ CONSTANTS = (
     *("load_g", "declare_load"),
 )
 _SIZE = 1_000_000  # bytes of a mapping
+_HUGE = 1e12  # no component of a direction is larger
+_UNIT_LENGTH = 1e-3  # deviation from length 1 that a run accepts
 
 
 @dataclass(frozen=True)
@@ -85,6 +90,8 @@ class Quantity:
     swaps: str = "report"
     not_seen: tuple[float, ...] | None = ()  # numbers that stand for "not seen"; None keeps all
     axes: int = 3  # coordinates of a marker: 2 in a plane
+    likelihood: tuple[Column, ...] = ()  # one column for each marker
+    least_likelihood: float = LIKELIHOOD  # of a place that was seen
     # (columns,) size of a turn after which each rolls over, in the log's unit
     unwrap: Array | None = None
     scaled: bool = False  # whether the mapping gives `scale`
@@ -204,7 +211,12 @@ def _mapping(path: Path, top: TomlTable) -> Mapping:
     blocks.only(("count", "seconds"))
     constant.only(CONSTANTS)
     origin = frame.numbers("origin_mm", (3,))
-    gravity = constant.numbers("gravity", (3,))
+    if {"count", "seconds"} <= blocks.values.keys():
+        raise RunError(
+            f"{blocks.where}: count = {shown(blocks.values['count'])} and seconds = "
+            f"{shown(blocks.values['seconds'])}: both cut the frames into blocks; keep one of them"
+        )
+    gravity = _gravity(constant)
     temperature = constant.number("temperature_c")
     sigma = constant.number("sigma_mm")
     pairs = {"gravity": gravity, "temperature": temperature, "sigma": sigma}
@@ -255,6 +267,37 @@ def _stretch(constant: TomlTable) -> tuple[float, float] | None:
             f"{constant.where}: marker_rest_s = [{low:g}, {high:g}]: it ends before it begins"
         )
     return low, high
+
+
+def _gravity(constant: TomlTable) -> Array | None:
+    """Return the declared direction of gravity (3,), a unit vector; None without one."""
+    if "gravity" not in constant.values:
+        return None
+    allowed = (
+        "expected a direction of length 1 in the base frame, such as [0.0, 0.0, 1.0] (hanging) or "
+        "[0.0, 0.0, -1.0] (standing)"
+    )
+    given = constant.values["gravity"]
+    numbers = given if isinstance(given, list) else []
+    plain_numbers = all(
+        isinstance(x, int | float) and not isinstance(x, bool) and abs(x) <= _HUGE for x in numbers
+    )
+    if len(numbers) != 3 or not plain_numbers:  # NaN is not below the limit either
+        raise RunError(f"{constant.where}: gravity = {shown(given)}: {allowed}")
+    gravity = np.array(numbers, float)
+    length = float(np.linalg.norm(gravity))
+    if length == 0.0:
+        raise RunError(
+            f"{constant.where}: gravity = {shown(given)} has no direction: {allowed}; leave it out "
+            "if you do not know it"
+        )
+    if abs(length - 1.0) > _UNIT_LENGTH:
+        unit = ", ".join(f"{x:.4g}" for x in gravity / length + 0.0)
+        raise RunError(
+            f"{constant.where}: gravity = {shown(given)} has length {length:.4g}: {allowed}; "
+            f"gravity = [{unit}] has this direction"
+        )
+    return gravity
 
 
 def _loads(constant: TomlTable) -> tuple[tuple[str, float], ...]:
@@ -347,8 +390,10 @@ def _quantity(log: TomlTable, name: str, command_unit: str) -> Quantity:
     table = log.table(name)
     points: tuple[str, ...] = ()
     if name == "markers":
-        points = ("not_seen", "labels", "swaps")
-    elif name in POINTS:
+        points = ("not_seen", "likelihood", "least_likelihood", "labels", "swaps")
+    elif name == "base":
+        points = ("not_seen", "likelihood", "least_likelihood")
+    elif name in CONDITIONS:
         points = ("not_seen",)
     table.only((*QUANTITY, *points, *(("unwrap",) if name in DRIVES else ())))
     listed, flat = table.values.get("columns", []), columns_of(table)
@@ -363,7 +408,7 @@ def _quantity(log: TomlTable, name: str, command_unit: str) -> Quantity:
             f'{table.where}: {len(flat)} columns, expected x, y, z of each marker: [["x1", "y1", '
             '"z1"], …], or x, y of each in a plane: [["x1", "y1"], …]'
         )
-    if name in ("temperature", "load") and len(flat) != 1:
+    if name in CONDITIONS and len(flat) != 1:
         raise RunError(f"{table.where}: {len(flat)} columns, expected one")
     own = command_unit if name in ("command", "present") else UNITS[name][0]
     allowed = UNITS[name] if own in UNITS[name] else (*UNITS[name], own)
@@ -405,11 +450,32 @@ def _quantity(log: TomlTable, name: str, command_unit: str) -> Quantity:
         swaps=table.choice("swaps", ("report", "mend"), "report")
         if name == "markers"
         else "report",
-        not_seen=not_seen_of(table) if name in POINTS else (),
+        not_seen=not_seen_of(table) if name in (*POINTS, *CONDITIONS) else (),
         axes=axes if name in POINTS else 1,
+        likelihood=_likelihood(table, len(flat) // axes) if name in POINTS else (),
+        least_likelihood=table.number("least_likelihood", LIKELIHOOD, 0.0, 1e6) or 0.0,
         unwrap=_unwrap(table, len(flat)) if name in DRIVES and "unwrap" in table.values else None,
         scaled="scale" in table.values,
     )
+
+
+def _likelihood(table: TomlTable, markers: int) -> tuple[Column, ...]:
+    """Return the columns with the likelihood of each marker; () without any."""
+    given = table.get("likelihood", (list,))
+    if given is None:
+        if "least_likelihood" in table.values:
+            raise RunError(
+                f"{table.where}: least_likelihood without likelihood; name the column of each "
+                'marker: likelihood = ["tip.likelihood", …]'
+            )
+        return ()
+    named = [one for one in given if isinstance(one, str | int) and not isinstance(one, bool)]
+    if len(named) != markers or len(given) != markers:
+        raise RunError(
+            f"{table.where}: likelihood = {shown(given)}, expected {markers} columns, one for each "
+            "marker"
+        )
+    return tuple(named)
 
 
 def _unwrap(table: TomlTable, count: int) -> Array:

@@ -59,18 +59,22 @@ def at_one_number(points: Array, markers: Sequence[int], labels: Sequence[str]) 
     return phrases
 
 
+def never_moving(points: Array) -> list[int]:
+    """Return the markers of (K, M, D) that are at one place to the last digit in all known rows."""
+    found = []
+    for m in range(points.shape[1]):
+        known = points[np.isfinite(points[:, m]).all(axis=1), m]
+        if len(known) >= LEAST and bool((known == known[0]).all()):
+            found.append(m)
+    return found
+
+
 def moving(points: Array) -> Array:
     """Return the points (K, M, 3) without markers that never move, if two or more others remain.
 
     A place that repeats to the last digit in every frame was not measured, so it says nothing of
     the axis along which a robot lies.
     """
-    moves = np.array(
-        [
-            len(known := points[np.isfinite(points[:, m]).all(axis=1), m]) < LEAST
-            or bool((known != known[0]).any())
-            for m in range(points.shape[1])
-        ],
-        dtype=bool,
-    )
+    moves = np.ones(points.shape[1], bool)
+    moves[never_moving(points)] = False
     return points[:, moves] if 2 <= moves.sum() < len(moves) else points

@@ -35,6 +35,18 @@ _HOME = 0.1  # of the largest command: below it the robot counts as at rest
 _STILL_ROWS, _CROSSED = 20, 0.5
 _SAMPLE = 20_000  # frames examined
 _LETTERS = "xyz"
+_CLAMP = "base|clamp|mount|ground|frame"
+_BASE = re.compile(_CLAMP, re.IGNORECASE)
+_WORD, _MARK = r"(?<![^\W\d_])", r"[\s_.-]*"
+_IN = re.compile(  # the frame of a place: `tip_in_cam`, `base_wrt_world_frame`
+    rf"{_WORD}(?:in|wrt){_MARK}(?:the{_MARK})?(?P<frame>[^\W\d_]{{2,}})(?:{_MARK}frame)?",
+    re.IGNORECASE,
+)
+_RELATIVE = re.compile(
+    rf"{_WORD}(?:minus|wrt|in|rel|relative|rel(?:ative)?_?to|from|about|-){_MARK}(?:the{_MARK})?"
+    rf"(?:base|clamp|mount|ground)|{_WORD}(?:rel|relative)(?![^\W\d_])",
+    re.IGNORECASE,
+)
 
 
 def doubts_of_time(t: Array) -> list[str]:
@@ -344,8 +356,22 @@ def _plate_on_axis(rest: Array, mapping: Mapping) -> bool:
 
 
 def is_base(label: str) -> bool:
-    """Return whether a marker's name places it on the clamp, not on the robot."""
-    return bool(re.search(r"base|clamp|mount|ground|frame", label, re.IGNORECASE))
+    """Return whether a marker's name places it on the clamp, not on the robot.
+
+    `tip_minus_base` and `tip_in_base` are places of the tip.
+    """
+    return bool(_BASE.search(_IN.sub("", label))) and not is_relative(label)
+
+
+def is_relative(label: str) -> bool:
+    """Return whether a marker's name says that its place is relative to the base."""
+    return bool(_RELATIVE.search(label))
+
+
+def frame_of(label: str) -> str | None:
+    """Return the frame that a marker's name states: `cam` of `tip_in_cam`; None without one."""
+    found = _IN.search(label)
+    return found["frame"].lower() if found else None
 
 
 def at_rest(t: Array, t_seen: Array, command: Array | None, markers: Array) -> Array:

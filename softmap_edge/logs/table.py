@@ -18,7 +18,7 @@ from softmap_edge.errors import RunError
 from softmap_edge.files.printable import listed
 from softmap_edge.logs.clock import kept, times_of
 from softmap_edge.logs.fills import LARGEST, without_fills
-from softmap_edge.logs.mapping import Clock, Log
+from softmap_edge.logs.mapping import CONDITIONS, Clock, Log
 from softmap_edge.logs.measured import Column
 from softmap_edge.logs.other_units import doubts_of_clock
 from softmap_edge.logs.readers.cells import find_delimiter
@@ -31,6 +31,7 @@ from softmap_edge.logs.readers.npz_log import open_npz
 from softmap_edge.logs.readers.parquet_log import open_parquet
 from softmap_edge.logs.readers.pivoted import PivotedColumns, pivoted
 from softmap_edge.logs.readers.rosbag_sqlite import open_db3
+from softmap_edge.logs.readers.summaries import summaries
 from softmap_edge.logs.readers.text import TextColumns, open_text
 from softmap_edge.logs.readers.typed_rows import open_typed
 from softmap_edge.logs.readers.vendor_text import open_lvm, open_nexus, open_qtm
@@ -47,6 +48,9 @@ _VENDORS: dict[str, Callable[[Path], Columns]] = {
 _TOLD = 6  # columns that are listed
 _NAMED = 8  # missing columns that are listed
 _WIDTH = 200  # characters of a list of columns
+_FEWEST_STEPS = 10  # between rows: fewer show no rate
+_REGULAR, _USUALLY = 0.5, 0.8  # deviation from the usual step, and share of such steps
+_SAME_RATE = 0.01  # relative difference of rates that rounding of the head explains
 
 
 @dataclass(frozen=True)
@@ -179,19 +183,21 @@ def read_log(path: Path, log: Log, columns: Columns | None = None) -> LogTable:
     drives = {
         places.index(place(path, names, column))
         for name, quantity in log.rows.items()
-        if name != "load"
+        if name not in CONDITIONS
         for column in quantity.columns
     }
     cells = without_fills(
         _finite(_cut(path, cells, log), places, names), [names[k] for k in places], drives
     )
     _within_reason(path, columns.where, cells, places, names)
+    cells = _without_summaries(columns, cells)
     cells, aside = _set_aside(columns.where, cells, [places.index(clock) for clock in clocks])
     t = raw_times(path, columns, cells, places, log.clock)
     at = [places.index(clock) for clock in clocks]
     times = times_of(path, columns.where, cells, t, log.clock, at, log.pivot is not None)
     values = dict(zip(places, times.cells.numbers.T))
-    doubts = (*lacks, *cells.doubts, *times.doubts, *_assumed(log.clock, len(times.t)))
+    found = _other_rate(columns, times.t, log.clock)
+    doubts = (*lacks, *cells.doubts, *times.doubts, *found, *_assumed(log.clock, len(times.t)))
     notes = (*cells.notes, *aside, *times.notes)
     odd = columns.odd_units if isinstance(columns, TextColumns | PivotedColumns) else None
     table = LogTable(
@@ -199,6 +205,21 @@ def read_log(path: Path, log: Log, columns: Columns | None = None) -> LogTable:
     )
     read = [name for name in log.clock.columns if place(path, names, name) not in columns.clocks]
     return replace(table, doubts=(*doubts, *doubts_of_clock(table, log.clock, read)))
+
+
+def _without_summaries(columns: Columns, cells: Cells) -> Cells:
+    """Return the rows of a text log without those that summarise the others, and a note."""
+    gone = summaries(cells.numbers) if isinstance(columns, TextColumns) else np.zeros(0, np.intp)
+    if not len(gone):
+        return cells
+    lines = listed([str(line) for line in cells.lines[gone]], _TOLD)
+    note = (
+        f"{len(gone)} of {len(cells.numbers)} rows hold the mean (or another statistic) of the "
+        f"others in every column, and were left out as summaries: line {lines}"
+    )
+    keep = np.ones(len(cells.numbers), np.bool_)
+    keep[gone] = False
+    return replace(kept(cells, keep), notes=(*cells.notes, note))
 
 
 def _other_count(columns: Columns, rows: int) -> list[str]:
@@ -212,6 +233,29 @@ def _other_count(columns: Columns, rows: int) -> list[str]:
     return [f"the head states {stated} frames, the file holds {rows}{missing}"]
 
 
+def _other_rate(columns: Columns, t: Array, clock: Clock) -> list[str]:
+    """Return the doubt that rows at times t (T,) s have another rate than the head states."""
+    step = np.diff(t)
+    if not isinstance(columns, TextColumns) or columns.stated_rate is None or clock.timeless:
+        return []
+    if len(step) < _FEWEST_STEPS:
+        return []
+    regular = np.abs(step / np.median(step) - 1.0) < _REGULAR  # no gap; rounded stamps differ
+    key, stated = columns.stated_rate
+    rate = 1.0 / float(step[regular].mean())
+    if regular.mean() < _USUALLY or abs(rate / stated - 1.0) <= _SAME_RATE:
+        return []
+    taken = "the rate of the mapping" if clock.column is None or clock.counter else "the time"
+    frame = next((name for name in columns.names if name.lower() == "frame"), None)
+    counted = "" if frame is None else f'column = "{frame}", '
+    remedy = f"time = {{ {counted}rate_hz = {stated:g} }}"
+    return [
+        f"t: the head states {key} {stated:g} Hz, and by {taken} there are {rate:.4g} rows a "
+        f"second, {100 * (rate / stated - 1.0):+.0f} %: {taken} is followed; set {remedy} if the "
+        "head is right"
+    ]
+
+
 def columns_named(log: Log) -> list[Column]:
     """Return the number columns listed for a log in a mapping, time first."""
     found: list[Column] = [*log.clock.columns]
@@ -220,7 +264,7 @@ def columns_named(log: Log) -> list[Column]:
         column
         for points in (log.markers, log.base)
         if points is not None
-        for column in points.columns
+        for column in (*points.columns, *points.likelihood)
     ]
     return [*found, *([] if log.output is None else log.output.columns)]
 

@@ -25,6 +25,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.logs.flags import is_switch
 from softmap_edge.logs.goals import follows, is_computed, is_drive, is_goal
 from softmap_edge.logs.numbered import without_numbers
 from softmap_edge.logs.plausible import is_base
@@ -87,6 +88,8 @@ class Triples:
     left: list[LeftOut] = field(default_factory=list)
     # positions with uninformative names
     by_size: list[list[str]] = field(default_factory=list)
+    # the column with the likelihood of each position, by its first column; {} unless all have one
+    likelihood: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -278,6 +281,8 @@ def _candidate(
     other, named = _by_name(stem)
     if is_length(columns[0]) and not _NAMELESS.search(stem):
         other, named = None, True
+    if (flag := _flag(columns, points)) is not None:
+        other, named = flag, False
     size = float(np.median(length))
     largest = float(np.quantile(np.abs(points), 0.99))
     extent = float(
@@ -287,6 +292,20 @@ def _candidate(
     return _Candidate(
         columns, stem, named, other, size, largest, _steady(points, length), middle, extent
     )
+
+
+def _flag(columns: list[str], points: Array) -> str | None:
+    """Return that points (n, 3) are no position, because a coordinate is only 0 and 1.
+
+    Positions in whole numbers may have such a coordinate, if they have another one too.
+    """
+    switches = [is_switch(column) for column in points.T]
+    whole = bool((points == np.rint(points)).all())
+    wide = [bool(np.ptp(column) > 1.0) for column in points.T] if len(points) else []
+    if not any(switches) or (whole and any(wide)):
+        return None
+    name = columns[switches.index(True)]
+    return f"a flag or a switch, for {name} holds only 0 and 1"
 
 
 def _steady(points: Array, length: Array) -> str | None:
@@ -320,13 +339,19 @@ def _by_name(stem: str) -> tuple[str | None, bool]:
     return None, place
 
 
-def find_pairs(names: Sequence[str], bare: Sequence[str], rows: Rows) -> Triples:
+def find_pairs(
+    names: Sequence[str],
+    bare: Sequence[str],
+    rows: Rows,
+    is_place: Callable[[Sequence[str]], bool] = lambda _: False,
+) -> Triples:
     """Find x, y of markers in a plane, for a log without positions in space.
 
-    At least one must be named like a position.
+    At least one must be named like a position, or be one by `is_place`.
 
     Args:
         names, bare, rows: as in `find_triples`.
+        is_place: whether other columns show that a pair is a position.
     """
 
     def padded(columns: list[str]) -> Array:
@@ -334,7 +359,10 @@ def find_pairs(names: Sequence[str], bare: Sequence[str], rows: Rows) -> Triples
         return np.column_stack([points, np.zeros(len(points))])
 
     pairs = list(_pairs(list(names), list(bare), rows))
-    families = _families([_candidate(one, stem, padded, lambda _: False) for one, stem in pairs])
+    places_known = {pair[0] for pair, _ in pairs if is_place(pair)}
+    families = _families(
+        [_candidate(one, stem, padded, places_known.__contains__) for one, stem in pairs]
+    )
     accepted, left = (
         _classified(families) if any(family[0].named for family in families) else ([], [])
     )

@@ -103,7 +103,12 @@ RANGES: dict[FieldName, tuple[float, float, str, str]] = {
     "ticks": _TICKS,
     "present_ticks": _TICKS,
     "current": (-1e5, 1e5, "mA", "convert it to milliampere"),
-    "temperature": (-80.0, 250.0, "°C", "subtract 273.15 if it is in kelvin"),
+    "temperature": (
+        -80.0,
+        250.0,
+        "°C",
+        "subtract 273.15 if it is in kelvin, and leave out what a failed sensor writes (-127)",
+    ),
     "gravity": (-1e3, 1e3, "", "give a unit vector in the base frame"),
     "command": (-1e12, 1e12, "", "give the command in mm of tendon or in `command_unit`"),
     "present": (-1e12, 1e12, "", "give the encoder positions in mm of tendon or in `command_unit`"),
@@ -497,9 +502,9 @@ def _units(run: Run) -> None:
         length = np.linalg.norm(np.atleast_2d(run.gravity), axis=1)
         worst = float(length[np.argmax(np.abs(length - 1.0))])
         if abs(worst - 1.0) > 1e-3:
+            remedy = "divide it by its length" if worst else "leave it out if it is not known"
             raise RunError(
-                f"gravity: length {worst:.4g}, expected a unit vector in the base frame; divide "
-                "it by its length"
+                f"gravity: length {worst:.4g}, expected a unit vector in the base frame; {remedy}"
             )
     if run.frame is not None:
         turn = run.frame[:, :3]

@@ -59,7 +59,8 @@ def log(
 def mapping(places=3, one=False, **parts):
     triples = [[f"c{3 * k + i}" for i in range(3)] for k in range(places)]
     plate = [[f"c{3 * k + i}" for i in range(3)] for k in range(places, places + 3)]
-    base = f"base = {{ columns = {plate} }}" if parts.get("base") else ""
+    keep = 'not_seen = "keep"'  # the plate has no noise here
+    base = f"base = {{ {keep}, columns = {plate} }}" if parts.get("base") else ""
     text = MAP.format(
         top=parts.get("top", ""),
         columns=["u"] if one else ["u", "v"],

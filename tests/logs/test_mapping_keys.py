@@ -126,3 +126,35 @@ def test_a_run_in_memory_has_the_rule_of_a_run_that_is_read(text):
             t_seen=np.arange(3.0),
             robot=text,
         )
+
+
+@pytest.mark.parametrize("keys", ["count = 5\nseconds = 2.0", "seconds = 1\ncount = 1"])
+def test_blocks_are_cut_by_count_or_by_seconds(keys):
+    text = refused(f"{MAP}[blocks]\n{keys}\n")
+    assert "blocks: count = " in text and "keep one of them" in text
+
+
+@pytest.mark.parametrize(
+    ("gravity", "said"),
+    [
+        ("[0.0, 0.0, 0.0]", "has no direction"),
+        ("[0.0, 0.0, 9.81]", "length 9.81"),
+        ("[0.5, 0.0, 0.5]", "gravity = [0.7071, 0, 0.7071] has this direction"),
+        ("[nan, 0.0, 1.0]", "expected a direction of length 1"),
+        ("[inf, 0.0, 0.0]", "expected a direction of length 1"),
+        ("[0.0, 1.0]", "expected a direction of length 1"),
+        ("9.81", "expected a direction of length 1"),
+        ('["down"]', "expected a direction of length 1"),
+        ("[[0.0, 0.0, 1.0]]", "expected a direction of length 1"),
+        ("[true, false, false]", "expected a direction of length 1"),
+    ],
+)
+def test_gravity_is_a_direction(gravity, said):
+    text = refused(f"{MAP}[constant]\ngravity = {gravity}\n")
+    assert "constant: gravity = " in text and said in text
+
+
+@pytest.mark.parametrize("gravity", ["[0, 0, 1]", "[0.7071, 0.0, -0.7071]", "[0.0, -1.0, 0.0]"])
+def test_a_unit_vector_is_gravity(gravity):
+    mapping = parse_mapping(f"{MAP}[constant]\ngravity = {gravity}\n", Path("map.toml"))
+    assert np.linalg.norm(mapping.constants["gravity"]) == pytest.approx(1.0, abs=1e-3)

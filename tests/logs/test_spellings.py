@@ -1,4 +1,4 @@
-"""Numbers with a Unicode minus, hexadecimal integers, and a unit in one cell."""
+"""Numbers with a Unicode minus, hexadecimal integers, exponents of Fortran, and a unit in one cell."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from softmap_edge.errors import RunError
 from softmap_edge.logs.guess import guess_mapping
 from softmap_edge.logs.importer import import_logs
 from softmap_edge.logs.mapping import parse_mapping
-from softmap_edge.logs.readers.spellings import with_minus
+from softmap_edge.logs.readers.spellings import with_exponents, with_minus
 from softmap_edge.logs.table import open_log
 
 HEAD = ",".join(NAMES)
@@ -80,3 +80,44 @@ def test_a_unit_in_a_cell_has_a_remedy(tmp_path, cell):
     path = write(tmp_path / "log.csv", HEAD.replace(",", ";"), lines)
     with pytest.raises(RunError, match="is not a number; remove '.*' from the cell, and give the"):
         open_log(path).read([5])
+
+
+def double(number):
+    return f"{number:.6E}".replace("E", "D")
+
+
+def as_printed(number):
+    """As Fortran prints a number: three digits of an exponent leave no room for its letter."""
+    return f"{1e-120 * number:.6E}".replace("E-1", "-1") if 0 < number < 1e-3 else double(number)
+
+
+@pytest.mark.parametrize("written", [double, lambda x: double(x).lower(), as_printed])
+@pytest.mark.parametrize("cut", [",", "\t", "  ", ";"])
+def test_exponents_of_fortran_are_numbers(tmp_path, written, cut):
+    lines = [cut.join(written(float(cell)) for cell in line.split(",")) for line in rows(60)]
+    path = write(tmp_path / "log.csv", cut.join(NAMES), lines)
+    done = import_logs([path], parse_mapping(guess_mapping([path]).text, path))
+    assert (done.run.channels, done.run.frames) == (2, 60)
+    assert open_log(path).read([1, 2, 5]).numbers == pytest.approx(KNOWN[:, [0, 1, 4]], abs=6e-4)
+
+
+@pytest.mark.parametrize(
+    ("text", "plain"),
+    [
+        ("1.0D+02,2.5d3", "1.0e+02,2.5e3"),
+        ("-.5Q-1 1d-3", "-.5e-1 1e-3"),
+        ("1.25-100;0.5+101", "1.25e-100;0.5e+101"),
+        ("3D2,12d,1.5d,3.5-2,07.05-2031,v1.0D+02,1.0D+02x", None),
+    ],
+)
+def test_only_exponents_are_changed(text, plain):
+    assert with_exponents(text) == (plain or text)
+
+
+def test_a_range_of_numbers_stays_an_error(tmp_path):
+    lines = rows(40)
+    lines[7] = lines[7].replace(lines[7].split(",")[3], "3.5-12")
+    mapping = guess_mapping([write(tmp_path / "whole.csv", HEAD, rows(40))]).text
+    path = write(tmp_path / "log.csv", HEAD, lines)
+    with pytest.raises(RunError, match="line 9, column tip_x: '3.5-12' is not a number"):
+        import_logs([path], parse_mapping(mapping, path))

@@ -89,7 +89,7 @@ def test_a_unit_of_commands_that_is_not_known_is_quoted_and_kept(tmp_path, form,
     assert import_logs([log], parse_mapping(found.text, log)).run.command_unit == unit
 
 
-@pytest.mark.parametrize("form", ["marker_{}_{} [px]", "marker_{}_{}_thou", "marker_{}_{} [0.1mm]"])
+@pytest.mark.parametrize("form", ["marker_{}_{} [yd]", "marker_{}_{}_thou", "marker_{}_{} [0.1mm]"])
 def test_a_unit_of_places_that_is_not_known_is_quoted(tmp_path, form):
     found = guess_mapping([written(tmp_path / "log.csv", form)])
     assert any("unit of the markers: the log states" in line for line in found.unknown)

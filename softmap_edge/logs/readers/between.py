@@ -1,4 +1,4 @@
-"""Leave out lines between the rows of a text log: repeated headers, and remarks.
+"""Leave out lines between the rows of a text log: repeated headers, remarks, labelled summaries.
 
 Pinned by tests/logs/test_between.py.
 """
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from softmap_edge.files.printable import listed
 from softmap_edge.logs.readers.cells import is_value, split
 from softmap_edge.logs.readers.heads import plain_name, plain_names
+from softmap_edge.logs.readers.summaries import labelled_lines
 
 _LISTED = 3  # lines that are listed
 _MARKS = "#%"
@@ -48,11 +49,12 @@ class Between:
 
     heads: list[int] = field(default_factory=list)
     remarks: list[int] = field(default_factory=list)
+    summaries: list[int] = field(default_factory=list)
 
     @property
     def found(self) -> list[int]:
         """Return the numbers of all lines left out."""
-        return [*self.heads, *self.remarks]
+        return [*self.heads, *self.remarks, *self.summaries]
 
     def rows(
         self,
@@ -62,7 +64,7 @@ class Between:
         mark: str,
         width: int,
     ) -> tuple[list[str], NDArray[np.int64]]:
-        """Return the lines without repeated headers and remarks, with their numbers, and counts.
+        """Return the lines without headers, remarks and summaries, with their numbers, and counts.
 
         Args:
             block: lines that are not blank.
@@ -92,6 +94,9 @@ class Between:
             elif block[k][0] in _MARKS and len(cells) != width:
                 self.remarks.append(int(numbers[k]))
                 gone.add(k)
+        summed = [k for k in labelled_lines(block, mark) if k not in gone]
+        self.summaries += numbers[summed].tolist()
+        gone |= set(summed)
         if not gone:
             return block, numbers
         kept = [k for k in range(len(block)) if k not in gone]
@@ -106,6 +111,11 @@ class Between:
             )
         if self.remarks:
             sentences.append(f"remarks between the rows were left out: {_named(self.remarks)}")
+        if self.summaries:
+            sentences.append(
+                "rows with the label of a summary, such as Mean, were left out: "
+                f"{_named(self.summaries)}"
+            )
         return sentences
 
 

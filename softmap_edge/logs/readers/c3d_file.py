@@ -8,6 +8,7 @@ file before reading, because a damaged header may state billions of frames.
 from __future__ import annotations
 
 import io
+import re
 import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -65,6 +66,8 @@ def open_c3d(path: Path) -> HeldColumns:
             frames, points = _points(reader, len(labels))
     except RunError:
         raise
+    except AssertionError as fault:
+        raise RunError(f"{path}: {_inconsistent(str(fault))}") from None
     except Exception as fault:  # damaged files raise errors of struct, numpy, codecs and asserts
         raise RunError(
             f"{path}: is a damaged C3D file ({type(fault).__name__} while it is read); export it "
@@ -77,8 +80,21 @@ def open_c3d(path: Path) -> HeldColumns:
     time = (frames - first) / rate
     numbers = np.column_stack([frames, time, points.reshape(len(points), -1)])
     short = last - first + 1 - len(points)
-    notes = (f"the file ends {short} frames early",) if short else ()
+    notes: tuple[str, ...] = (f"time counts frames at {rate:g} Hz, as the file states",)
+    notes += (f"the file ends {short} frames early",) if short else ()
     return HeldColumns(path, ["frame", "time", *names], numbers, units, notes=notes)
+
+
+def _inconsistent(fault: str) -> str:
+    """Return why a file contradicts itself, from the words of the reader."""
+    rates = re.search(r"frame rate! (\S+) header != (\S+) POINT:RATE", fault)
+    if rates is None:
+        return f"is a damaged C3D file ({fault[:80] or 'AssertionError'}); export it again"
+    return (
+        f"its header states {float(rates[1]):g} frames a second, its parameter POINT:RATE "
+        f"{float(rates[2]):g}: the times of the frames are not known; correct one of them, or "
+        "export it again"
+    )
 
 
 def _labels(reader: Reader) -> list[str]:

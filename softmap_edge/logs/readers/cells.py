@@ -6,7 +6,7 @@ import csv
 import re
 
 from softmap_edge.logs.mapping import ANGLE, LENGTH, TIME
-from softmap_edge.logs.readers.spellings import is_hex, with_minus
+from softmap_edge.logs.readers.spellings import is_hex, with_exponents, with_minus
 from softmap_edge.logs.readers.thousands import grouping_of
 from softmap_edge.logs.time_text import is_time
 from softmap_edge.logs.unit_words import LENGTH_WORDS
@@ -63,10 +63,17 @@ def find_delimiter(line: str) -> str:
 def is_number(cell: str) -> bool:
     """Return whether a cell is a number.
 
-    It may have a decimal point or comma, or clear groups of digits, or be hexadecimal (`0x1F`).
+    It may have a decimal point or comma, or clear groups of digits, or an exponent of Fortran
+    (`1.0D+02`), or be hexadecimal (`0x1F`).
     """
     cell = with_minus(cell)
-    return is_plain(cell.replace(",", ".")) or grouping_of(cell) is not None or is_hex(cell)
+    plain = cell.replace(",", ".")
+    return (
+        is_plain(plain)
+        or is_plain(with_exponents(plain))
+        or grouping_of(cell) is not None
+        or is_hex(cell)
+    )
 
 
 def is_plain(cell: str) -> bool:

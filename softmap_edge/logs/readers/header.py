@@ -292,6 +292,8 @@ def _head(
         if len(own) != width:
             return replace(bare, clash=header)
     names = _grouped(own, lines[header - 1] if header else None)
+    if header > 1 and names != own and len(set(names)) < len(names):  # a group of groups
+        names = _grouped(names, lines[header - 2])
     units = _units_above(names, lines[header - 1]) if header and names == own else {}
     stated: dict[str, str] = {}
     for line in lines[header + 1 : first]:

@@ -9,11 +9,13 @@ the unit.
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 from softmap_edge.errors import RunError
 from softmap_edge.logs.readers.cells import is_number, split
 from softmap_edge.logs.readers.lines import first_lines
+from softmap_edge.logs.readers.stated_rate import rate_of
 from softmap_edge.logs.readers.text import TextColumns
 
 _HEAD = 40  # lines in which the rows must begin
@@ -63,7 +65,10 @@ def open_trc(path: Path) -> TextColumns:
             "expected three for each; export it again"
         )
     names = ["frame", "time", *(f"{label}.{axis}" for label in labels for axis in "xyz")]
-    return _rows(path, names, "\t", cells, 5, stated.get("Units", ""), stated.get("NumFrames", ""))
+    columns = _rows(
+        path, names, "\t", cells, 5, stated.get("Units", ""), stated.get("NumFrames", "")
+    )
+    return replace(columns, stated_rate=rate_of(stated, ("DataRate", "CameraRate")))
 
 
 def open_motive(path: Path) -> TextColumns:
@@ -97,7 +102,9 @@ def open_motive(path: Path) -> TextColumns:
         taken.add(names[-1])
     stated = dict(zip(cells[0][::2], cells[0][1::2]))
     count = stated.get("Total Exported Frames", "")
-    return _rows(path, names, ",", cells, at + 1, stated.get("Length Units", ""), count)
+    columns = _rows(path, names, ",", cells, at + 1, stated.get("Length Units", ""), count)
+    rates = ("Export Frame Rate", "Capture Frame Rate")
+    return replace(columns, stated_rate=rate_of(stated, rates))
 
 
 def _rows(

@@ -1,4 +1,4 @@
-"""Read numbers in other spellings: a Unicode minus sign, hexadecimal integers.
+"""Read numbers in other spellings: a Unicode minus sign, hexadecimal integers, Fortran exponents.
 
 Pinned by tests/logs/test_spellings.py.
 """
@@ -15,6 +15,11 @@ from softmap_edge.logs.readers.words import EMPTY
 _MINUS = "\u2212\ufe63\uff0d\u2013"  # minus, small hyphen-minus, full-width one, en dash
 _SIGN = re.compile(rf"(?:(?<![^\W_]|[.])|(?<=\d[eE]))[{_MINUS}](?=[\d.,])")
 _HEX = re.compile(r"[+-]?0[xX][0-9a-fA-F]{1,16}")
+# 1.0D+02, 2.5q3, 1D-3, and 1.0+100: three digits of an exponent leave no room for the letter
+_EXPONENT = re.compile(
+    r"(?<![\w.+-])([+-]?(?:\d+\.\d*|\.\d+|\d+(?=[dDqQ][+-])))"
+    r"(?:[dDqQ](?=[+-]?\d{1,3}(?![\w.+-]))|(?=[+-]\d{3}(?![\w.+-])))"
+)
 UNIT_CELL = re.compile(r"[+-]?\d[\d.,]*(?:[eE][+-]?\d+)?\s*([^\d\s.,;:/_-]{1,8})")
 
 
@@ -23,6 +28,11 @@ def with_minus(text: str) -> str:
     if text.isascii() or not any(mark in text for mark in _MINUS):
         return text
     return _SIGN.sub("-", text)
+
+
+def with_exponents(text: str) -> str:
+    """Return a text in which numbers with exponents of Fortran (1.0D+02) have a plain one."""
+    return _EXPONENT.sub(r"\1e", text)
 
 
 def is_hex(cell: str) -> bool:

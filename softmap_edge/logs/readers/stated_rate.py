@@ -29,6 +29,7 @@ _STEP = re.compile(
     rf"\W*(?:(?P<before>ms|us|µs|s)\b)?{_NUMBER}(?P<unit>ms|us|µs|s)?\b",
     re.IGNORECASE,
 )
+_PLAIN = re.compile(r"\d{1,9}(?:[.,]\d{1,9})?")
 _STEPS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6}
 _ALLOWED = 1e-3, 1e6  # Hz
 _SAME = 1e-3  # relative difference below which two rates are equal
@@ -39,6 +40,16 @@ def stated_rate(lines: Iterable[str]) -> float | None:
     found = [rate for line in lines if len(line) <= _LONG for rate in _rates(line)]
     found = [rate for rate in found if _ALLOWED[0] <= rate <= _ALLOWED[1]]
     return found[0] if found and max(found) - min(found) <= _SAME * max(found) else None
+
+
+def rate_of(stated: dict[str, str], keys: Iterable[str]) -> tuple[str, float] | None:
+    """Return the first of these keys whose cell in a head is a rate, and the rate in Hz."""
+    for key in keys:
+        found = _PLAIN.fullmatch(stated.get(key, "").strip())
+        rate = float(found[0].replace(",", ".")) if found else 0.0
+        if _ALLOWED[0] <= rate <= _ALLOWED[1]:
+            return key, rate
+    return None
 
 
 def _rates(line: str) -> list[float]:

@@ -34,9 +34,12 @@ from softmap_edge.logs.readers.lines import blocks, first_lines, held_back
 from softmap_edge.logs.readers.spellings import (
     hex_columns,
     spelling_remedy,
+    with_exponents,
     with_minus,
     without_hex,
 )
+from softmap_edge.logs.readers.stated_rate import stated_rate
+from softmap_edge.logs.readers.summaries import labelled
 from softmap_edge.logs.readers.thousands import Marks, is_alike, marks_of, other_mark, unclear
 from softmap_edge.logs.readers.thousands import plain as ungrouped
 from softmap_edge.logs.readers.words import EMPTY, Words, is_text, is_word
@@ -64,6 +67,8 @@ class TextColumns:
     units: dict[str, str] = field(default_factory=dict)
     odd_units: dict[str, str] = field(default_factory=dict)  # cells of a line of units, not known
     stated_rows: int | None = None  # number of rows that the head states
+    # the rate (Hz) of the rows that the head states, and its name there
+    stated_rate: tuple[str, float] | None = None
     notes: tuple[str, ...] = ()
     where: str = "line"
     header: bool = True
@@ -96,7 +101,8 @@ class TextColumns:
         lines = [line for line in first_lines(self.path, rows, self.first) if line.strip()]
         cells = [split(self._fitted(with_minus(line)), self.delimiter) for line in lines]
         full = [row for row in cells if len(row) == len(self.names)]
-        return [row for row in full if not names_again(row, self.names)]
+        full = [row for row in full if not names_again(row, self.names)]
+        return [row for row in full if not labelled(row, full)]
 
     def with_clocks(self, order: str | None) -> TextColumns:
         """Return a copy with its columns of dates and times identified.
@@ -305,8 +311,8 @@ class TextColumns:
         ):
             return None
         for attempt in range(2):
-            if attempt:  # again, with empty cells as NaN
-                text = "\n" + "\n".join(block) + "\n"
+            if attempt:  # again, with empty cells as NaN, and with plain exponents
+                text = with_exponents("\n" + "\n".join(block) + "\n")
                 for old, new in ((mark * 2, f"{mark}nan{mark}"),) * 2 + (
                     (f"\n{mark}", f"\nnan{mark}"),
                 ):
@@ -397,7 +403,7 @@ class TextColumns:
             and (whole := ungrouped(cell, mark)) is not None
         ):
             return float(whole)
-        plain = cell.replace(",", ".") if self.decimal == "," else cell
+        plain = with_exponents(cell.replace(",", ".") if self.decimal == "," else cell)
         if not odd and is_plain(plain):
             return float(plain)
         if is_word(cell):
@@ -541,6 +547,8 @@ def open_text(
         line for line in start[:first] if any(map(str.isalpha, line)) and not _is_row(line, table)
     ]
     columns = replace(columns, head=tuple(above[-_HEADS:]) if named else ())
+    rate = stated_rate(columns.head)
+    columns = replace(columns, stated_rate=None if rate is None else ("a rate of", rate))
     return _marked(columns, start[first : first + _FIRST], decimal).with_clocks(order)
 
 

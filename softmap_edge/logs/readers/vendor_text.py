@@ -19,6 +19,7 @@ from softmap_edge.errors import RunError
 from softmap_edge.logs.readers.cells import is_number, is_plain, split, trimmed
 from softmap_edge.logs.readers.lines import first_lines, lines_that
 from softmap_edge.logs.readers.paced import PacedColumns, paced
+from softmap_edge.logs.readers.stated_rate import rate_of
 from softmap_edge.logs.readers.text import TextColumns, open_text
 
 _HEAD = 60  # lines in which the rows must begin
@@ -80,7 +81,8 @@ def open_qtm(path: Path) -> TextColumns | PacedColumns:
     places = [name for name in names if name[-2:] in (".x", ".y", ".z")]
     columns = TextColumns(path, names, at + 1, "\t", ".", units=dict.fromkeys(places, "mm"))
     if "time" in lead:
-        return columns
+        first = {key: row[0] for key, row in stated.items() if row}
+        return replace(columns, stated_rate=rate_of(first, ("FREQUENCY",)))
     return paced(
         columns, (stated.get("FREQUENCY") or [""])[0], "frame" if "frame" in lead else None
     )
