@@ -14,7 +14,7 @@ import fnmatch
 import hashlib
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +39,7 @@ from softmap_edge.logs.plausible import (
     doubts_of_time,
     doubts_of_unread,
 )
+from softmap_edge.logs.recorded import check_frames, on_one_clock
 from softmap_edge.logs.sources import assign, named, open_parts, parts_of
 from softmap_edge.logs.table import LogTable, read_log
 from softmap_edge.logs.time_names import is_time_name
@@ -84,10 +85,14 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
     notes += [note for part in parts for note in part.notes]
     mapping, logs = assign(parts, mapping)
     with named(parts):
-        tables = [
-            read_log(one.path, log, open_parts(one.parts, log))
-            for one, log in zip(logs, mapping.logs)
-        ]
+        opened = [open_parts(one.parts, log) for one, log in zip(logs, mapping.logs)]
+        for one, log, columns in zip(logs, mapping.logs, opened):
+            doubts += [f"{one.label}: {doubt}" for doubt in check_frames(log, columns)]
+        clocks = on_one_clock(mapping.logs, opened)
+        mapping = replace(mapping, logs=clocks.logs)
+        notes += clocks.notes
+        doubts += clocks.doubts
+        tables = [read_log(one.path, log, opened.pop(0)) for one, log in zip(logs, mapping.logs)]
     damage = tuple(
         dict.fromkeys(note for table in tables for note in table.notes if isinstance(note, Damage))
     )
