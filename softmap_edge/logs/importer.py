@@ -27,6 +27,7 @@ from softmap_edge.files.mcap_records import Damage
 from softmap_edge.files.printable import listed, plain_line
 from softmap_edge.logs.clock import corrected
 from softmap_edge.logs.column_roles import doubts_of_roles
+from softmap_edge.logs.coverage import doubts_of_pauses
 from softmap_edge.logs.frames import choose_frames, seen
 from softmap_edge.logs.held import unhold
 from softmap_edge.logs.mapping import ANGLE, LENGTH, Mapping, Quantity, read_mapping
@@ -39,7 +40,7 @@ from softmap_edge.logs.plausible import (
     doubts_of_time,
     doubts_of_unread,
 )
-from softmap_edge.logs.recorded import check_frames, on_one_clock
+from softmap_edge.logs.recorded import check_frames, doubts_of_lists, on_one_clock
 from softmap_edge.logs.sources import assign, named, open_parts, parts_of
 from softmap_edge.logs.table import LogTable, read_log
 from softmap_edge.logs.time_names import is_time_name
@@ -87,7 +88,8 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
     with named(parts):
         opened = [open_parts(one.parts, log) for one, log in zip(logs, mapping.logs)]
         for one, log, columns in zip(logs, mapping.logs, opened):
-            doubts += [f"{one.label}: {doubt}" for doubt in check_frames(log, columns)]
+            found = [*check_frames(log, columns), *doubts_of_lists(log, columns)]
+            doubts += [f"{one.label}: {doubt}" for doubt in found]
         clocks = on_one_clock(mapping.logs, opened)
         mapping = replace(mapping, logs=clocks.logs)
         notes += clocks.notes
@@ -297,6 +299,8 @@ def _command_rows(
                     )
                 elif quantity.held == "unhold":
                     notes.append(f"{name}: no held samples found")
+            if t is not None and "timeless" not in fields and name not in ("command", "ticks"):
+                doubts += doubts_of_pauses(name, t, own)
             column = values if t is None or np.array_equal(t, own) else _interpolate(t, own, values)
             if name in ("temperature", "load"):
                 fields[name] = column[:, 0]

@@ -4,16 +4,19 @@ Stamps and log times are two clocks, which differ by the delay of the messages, 
 another computer sets the stamps. So `time` is the stamp only if every topic of the mapping has
 stamps; otherwise it is the log time in all of them. A mapping may name `header.stamp` or `log_time`
 of a topic; two clocks are then reported. Places in different frames (`header.frame_id`) are
-refused; `frame_id` in the mapping selects one frame. Pinned by tests/logs/test_recorded.py.
+refused; `frame_id` in the mapping selects one frame. Lists without names whose length changes are
+reported. Pinned by tests/logs/test_recorded.py.
 """
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
 from softmap_edge.files.printable import listed
@@ -25,6 +28,7 @@ from softmap_edge.logs.readers.messages import OWN, TopicColumns, frames_listed
 from softmap_edge.logs.readers.parts import JoinedColumns
 
 _TIME, _LOGGED = OWN
+_ELEMENT = re.compile(r"(?P<list>.*)\[(?P<at>\d{1,6})\](\.[^\[\]]*)?$")  # `poses[2].position.x`
 _APART_S = 1.0  # messages of one computer are logged within this time
 _NAMED = 3  # frames and topics that are listed
 
@@ -175,3 +179,51 @@ def _check_alike(topic: Sequence[TopicColumns], what: str, columns: Sequence[Col
             "frame: they are taken to be in the same; set frame_id to leave them out"
         ]
     return []
+
+
+# --- lists ---------------------------------------------------------------------------------
+def doubts_of_lists(log: Log, columns: Columns) -> list[str]:
+    """Report columns from lists without names that hold another number of elements in places.
+
+    The elements after a missing one move up, so a column may hold several things.
+    """
+    topic = topics_in(columns)
+    used = [
+        column
+        for one in (*log.rows.values(), log.markers, log.base, log.output)
+        if one
+        for column in one.columns
+    ]
+    lists: dict[str, str] = {}
+    for column in used:
+        name = column if isinstance(column, str) else columns.names[column]
+        if topic and (found := _ELEMENT.match(name)):
+            lists.setdefault(found["list"], name)
+    doubts = []
+    for path, name in lists.items():
+        counts = Counter[int]()
+        for one in topic:
+            counts.update(_lengths(one, path).tolist())
+        counts.pop(0, None)  # an empty list confuses nothing
+        if len(counts) > 1:
+            usual = max(counts, key=lambda length: (counts[length], length))
+            other = sum(counts.values()) - counts[usual]
+            lengths = listed([f"{n} ({count})" for n, count in counts.most_common()], _NAMED)
+            doubts.append(
+                f"topic {_name(topic)}: {path} has {usual} elements in most messages, another "
+                f"number in {other}: {lengths}; elements without names move up when one is "
+                f"missing, so {name[:60]} may show several things: give all elements, or record "
+                "them with names"
+            )
+    return doubts
+
+
+def _lengths(topic: TopicColumns, path: str) -> NDArray[np.int64]:
+    """Return the number of elements (messages,) of a list, by the numbers that are there."""
+    lengths = np.zeros(len(topic.numbers), np.int64)
+    for k, name in enumerate(topic.names):
+        found = _ELEMENT.match(name)
+        if found and found["list"] == path:
+            there = ~np.isnan(topic.numbers[:, k])
+            lengths[there] = np.maximum(lengths[there], int(found["at"]) + 1)
+    return lengths

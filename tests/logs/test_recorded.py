@@ -189,7 +189,7 @@ def test_one_link_that_two_cameras_see_is_read_of_the_chosen_one(tmp_path):
     with pytest.raises(RunError, match="places in 2 frames"):
         imported(tmp_path, recording(both, seen="/tf"), TF)
     chosen = TF.replace('"/tf"', '"/tf"\nframe_id = "base"')
-    assert imported(tmp_path, recording(both, seen="/tf"), chosen).run.frames == 80
+    assert imported(tmp_path, recording(both, seen="/tf", late=0.0), chosen).run.frames == 80
 
 
 def test_a_frame_without_messages_is_refused_with_those_that_are_there(tmp_path):
@@ -215,3 +215,27 @@ def test_a_frame_of_a_table_is_refused(tmp_path):
     )
     with pytest.raises(RunError, match="is for recordings of ROS"):
         import_logs([tmp_path / "log.csv"], read_mapping(tmp_path / "map.toml"))
+
+
+# --- lists of another length -----------------------------------------------------------------
+def without(gone):
+    def change(topic, k, message):
+        if topic != "/poses" or not 20 < k < 40:
+            return message
+        return message | {"poses": [one for j, one in enumerate(message["poses"]) if j not in gone]}
+
+    return change
+
+
+@pytest.mark.parametrize(("gone", "mapped"), [([0], 0), ([1], 0), ([2], 1), ([0, 1], 0)])
+def test_a_list_whose_length_changes_is_reported(tmp_path, gone, mapped):
+    mapping = BAG_MAP.replace("poses[2]", f"poses[{mapped}]")
+    done = imported(tmp_path, recording(without(gone)), mapping)
+    said = next(doubt for doubt in done.doubts if "move up when one is missing" in doubt)
+    assert f"3 (61), {3 - len(gone)} (19)" in said and f"poses[{mapped}].position.x" in said
+
+
+@pytest.mark.parametrize("gone", [[], [0, 1, 2]])
+def test_a_full_or_empty_list_raises_no_doubt(tmp_path, gone):
+    done = imported(tmp_path, recording(without(gone)))
+    assert not any("move up" in doubt for doubt in done.doubts)
