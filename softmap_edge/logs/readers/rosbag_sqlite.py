@@ -20,6 +20,7 @@ from pathlib import Path
 
 from softmap_edge.errors import RunError, brief
 from softmap_edge.files.printable import listed as listed_words
+from softmap_edge.files.refusals import NO_ROOM, refusal
 from softmap_edge.logs.readers.cdr import CdrError, Types, parse_definition, read_message
 from softmap_edge.logs.readers.mcap_file import Topic
 from softmap_edge.logs.readers.message_types import known_definition
@@ -178,6 +179,10 @@ def _opened(path: Path) -> Iterator[tuple[sqlite3.Connection, list[str]]]:
                 f"{path}: is a damaged SQLite file ({brief(fault)}); {_RECOVER}"
             ) from None
         except OSError as cause:
+            if cause.errno in NO_ROOM:  # of the copy with what the recorder left
+                raise RunError(
+                    f"{path}: cannot be copied: {refusal(cause, tempfile.gettempdir())}"
+                ) from cause
             raise RunError(
                 f"{path}: cannot be read ({cause.strerror or cause}); give the path of a log"
             ) from cause
