@@ -1,4 +1,4 @@
-"""Logs that begin late, stop early or pause beside others: what is made up or missing is said."""
+"""Logs that begin late, stop early or pause while others go on: the import reports it."""
 
 import numpy as np
 import pytest

@@ -1,5 +1,7 @@
 """Topics of one recording are used on one clock and in one frame, or the import says so."""
 
+from collections import Counter
+
 import numpy as np
 import pytest
 from containers import write_db3
@@ -16,6 +18,8 @@ from recordings import (
 
 from softmap_edge.errors import RunError
 from softmap_edge.logs.importer import import_logs, read_mapping
+from softmap_edge.logs.readers.cdr import Message, frame_path
+from softmap_edge.logs.readers.messages import MessageRows
 
 START, LATE = 1_700_000_000.0, 0.04  # s: the first message, and from a stamp to its log time
 NUMBERS = (
@@ -65,7 +69,7 @@ def imported(folder, messages, mapping=BAG_MAP, kind="mcap"):
 # --- one clock -----------------------------------------------------------------------------
 @pytest.mark.parametrize("kind", ["db3", "mcap"])
 @pytest.mark.parametrize(("goal", "mapping"), [("zero", BAG_MAP), ("none", NO_STAMP)])
-def test_stamps_beside_a_topic_without_are_not_mixed_with_log_times(tmp_path, kind, goal, mapping):
+def test_stamps_are_not_mixed_with_log_times_of_a_topic_without(tmp_path, kind, goal, mapping):
     done = imported(tmp_path, recording(goal=goal), mapping, kind)
     assert done.run.t_seen[0] - done.run.t[0] == pytest.approx(LATE - 0.001, abs=1e-5)
     note = next(n for n in done.notes if "stamps are another clock" in n)
@@ -189,7 +193,7 @@ def test_one_link_that_two_cameras_see_is_read_of_the_chosen_one(tmp_path):
     with pytest.raises(RunError, match="places in 2 frames"):
         imported(tmp_path, recording(both, seen="/tf"), TF)
     chosen = TF.replace('"/tf"', '"/tf"\nframe_id = "base"')
-    assert imported(tmp_path, recording(both, seen="/tf", late=0.0), chosen).run.frames == 80
+    assert imported(tmp_path, recording(both, seen="/tf", late=0.001), chosen).run.frames == 80
 
 
 def test_a_frame_without_messages_is_refused_with_those_that_are_there(tmp_path):
@@ -215,6 +219,31 @@ def test_a_frame_of_a_table_is_refused(tmp_path):
     )
     with pytest.raises(RunError, match="is for recordings of ROS"):
         import_logs([tmp_path / "log.csv"], read_mapping(tmp_path / "map.toml"))
+
+
+def test_frames_without_end_are_refused(tmp_path):
+    rows = MessageRows(tmp_path / "log.mcap", "/t", "world")
+    with pytest.raises(RunError, match="names more than 65536 frames"):
+        for k in range(100):
+            rows.add(Message(others=Counter(f"{k}.{j}" for j in range(1024))), 0.0)
+    rows = MessageRows(tmp_path / "log.mcap", "/t")
+    with pytest.raises(RunError, match="names more than 65536 frames"):
+        for k in range(100):
+            rows.add(Message({"x": 1.0}, {f"e[{j}].": f"{k}" for j in range(1024)}), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("column", "path"),
+    [
+        ("poses[1].pose.position.x", "poses[1]."),
+        ("poses[2].pose.position.x", ""),
+        ("transforms[a.b].transform.x", "transforms[a.b]."),
+        ("transforms[a.c].transform.x", ""),
+        ("time", ""),
+    ],
+)
+def test_the_nearest_header_gives_the_frame(column, path):
+    assert frame_path(column, {"": 1, "poses[1].": 1, "transforms[a.b].": 1}) == path
 
 
 # --- lists of another length -----------------------------------------------------------------
