@@ -7,11 +7,12 @@ writes its files. Pinned by tests/commands/test_cli_words.py and tests/files/tes
 from __future__ import annotations
 
 import argparse
-import errno
 import importlib
 import os
 import re
+import signal
 import sys
+import threading
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
@@ -22,45 +23,92 @@ from softmap_edge.commands import COMMANDS, ELSEWHERE, RENAMED, Command
 from softmap_edge.commands.parser import Parser, actions_of
 from softmap_edge.errors import RecordingWarning, SessionWarning, SoftmapError, no_name
 from softmap_edge.files.printable import PrintableStream, one_line, plain_line
+from softmap_edge.files.refusals import refusal
 from softmap_edge.version import __version__
 
 DONE, FAULT, WRONG_USE = 0, 1, 2
 NEGATIVE = re.compile(r"-[\d.][^:]*,")
+OUTPUT = "standard output"
 HELP = "help"  # softmap help COMMAND
-INTERRUPTED = 130  # as a shell reports Ctrl-C
+SIGNALS = (signal.SIGTERM, signal.SIGHUP)  # end a command as Ctrl-C does
+KILLED = 128  # plus the number of the signal, as a shell reports it
+
+
+class Terminated(KeyboardInterrupt):
+    """A signal has ended the command; `args` holds its number."""
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run one command and return its exit code.
 
-    It is 0 on success, 1 for a fault or a worse error, 2 for wrong usage, 130 when interrupted.
+    It is 0 on success, 1 for a fault or a worse error, 2 for wrong usage or a file that cannot be
+    written, 130 when interrupted (Ctrl-C), 143 when terminated.
     """
     argv = sys.argv[1:] if argv is None else argv
     live = "--live" in argv  # a live command ends with its reader
-    with nullcontext() if live else outliving(), _printable():
-        return _main(argv)
+    with _stopped_by_signals(), nullcontext() if live else outliving(), _printable():
+        try:
+            code = _main(argv)
+            if not live and sys.stdout is not None:
+                sys.stdout.flush()
+            return code
+        except OSError as error:  # standard output of a command that is not run, such as --help
+            if live:
+                raise
+            print(one_line(f"softmap: {refusal(error)}"), file=sys.stderr)
+            return WRONG_USE
+
+
+@contextmanager
+def _stopped_by_signals() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP end a command as Ctrl-C does, so that no partial file is left."""
+
+    def stop(number: int, _: object) -> None:
+        raise Terminated(number)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    # a signal that is ignored (nohup) or handled stays so
+    usual = [one for one in SIGNALS if signal.getsignal(one) is signal.SIG_DFL]
+    for one in usual:
+        signal.signal(one, stop)
+    try:
+        yield
+    finally:
+        for one in usual:
+            signal.signal(one, signal.SIG_DFL)
 
 
 class Outliving:
-    """A stream that discards its output once the reader has closed the pipe."""
+    """A stream that discards its output once the reader has closed the pipe.
 
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
+    If it cannot be written for another reason, its output is discarded from then on. The error is
+    raised with the stream's `name`, if it has one.
+    """
+
+    def __init__(self, stream: TextIO, name: str | None = None) -> None:
+        self._stream, self._name = stream, name
 
     def write(self, text: str) -> int:
         """Write `text`; return the number of characters."""
         try:
             return int(self._stream.write(text))
-        except BrokenPipeError:
-            self._give_up()
+        except OSError as fault:
+            self._fail(fault)
             return len(text)
 
     def flush(self) -> None:
         """Write out the buffer."""
         try:
             self._stream.flush()
-        except BrokenPipeError:
-            self._give_up()
+        except OSError as fault:
+            self._fail(fault)
+
+    def _fail(self, fault: OSError) -> None:
+        self._give_up()
+        if self._name is not None and not isinstance(fault, BrokenPipeError):
+            raise type(fault)(fault.errno, fault.strerror, self._name) from fault
 
     def _give_up(self) -> None:
         """Redirect the stream, with its buffer, to the null device."""
@@ -76,7 +124,9 @@ class Outliving:
 def outliving() -> Iterator[None]:
     """Keep running when the readers of standard output and standard error end."""
     streams = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = (None if one is None else Outliving(one) for one in streams)
+    sys.stdout, sys.stderr = (
+        one and cast(TextIO, Outliving(one, name)) for one, name in zip(streams, (OUTPUT, None))
+    )
     try:
         yield
     finally:
@@ -122,9 +172,11 @@ def _main(argv: list[str]) -> int:
         return _no_command(argv, known)
     try:
         return _run(known[name], argv[len(name.split()) :])
-    except KeyboardInterrupt:
-        print(f"softmap {name}: interrupted", file=sys.stderr)
-        return INTERRUPTED
+    except KeyboardInterrupt as stop:
+        number = stop.args[0] if isinstance(stop, Terminated) else signal.SIGINT
+        how = "interrupted" if number == signal.SIGINT else "terminated"
+        print(f"softmap {name}: {how}", file=sys.stderr)
+        return KILLED + int(number)
 
 
 def _no_command(argv: list[str], known: Mapping[str, Command]) -> int:
@@ -238,7 +290,7 @@ def _run(command: Command, argv: list[str]) -> int:
         )
         return WRONG_USE
     except OSError as error:
-        print(one_line(f"softmap {name}: {_of_the_system(error)}"), file=sys.stderr)
+        print(one_line(f"softmap {name}: {refusal(error)}"), file=sys.stderr)
         return WRONG_USE
 
 
@@ -271,18 +323,6 @@ def _printing_warnings(name: str) -> Iterator[set[str]]:
             warnings.filterwarnings("always", category=category)
         warnings.showwarning = show
         yield printed
-
-
-def _of_the_system(error: OSError) -> str:
-    """Return what the operating system refused, and the remedy."""
-    path = error.filename2 or error.filename
-    if path is None or error.strerror is None:
-        return str(error)
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        remedy = "free some space, or give a place with more of it"
-    else:
-        remedy = "give a path that exists and may be used for this"
-    return f"{path}: {error.strerror.lower()}; {remedy}"
 
 
 def _plugged_in() -> list[Command]:

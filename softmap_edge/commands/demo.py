@@ -19,7 +19,7 @@ from softmap_edge.comparison.series import series
 from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.errors import SoftmapError
-from softmap_edge.files.atomic import Document
+from softmap_edge.files.atomic import Document, write_atomically
 from softmap_edge.files.numbers import fall
 from softmap_edge.model.bundle import builtin_model, save_bundle
 from softmap_edge.model.model import Model
@@ -210,7 +210,7 @@ def _write(story: Trial, folder: Path) -> dict[str, str]:
     }
     story.run.save(files["run"])
     story.other.save(files["held_out_run"])
-    files["diagnosis"].write_text(json.dumps(story.diagnosis.to_dict(), indent=1) + "\n")
+    write_atomically(files["diagnosis"], json.dumps(story.diagnosis.to_dict(), indent=1) + "\n")
     save_bundle(story.diagnosis.model, files["bundle"])
     files["report"] = write_html(
         folder / "report.html",

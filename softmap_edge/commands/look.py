@@ -15,6 +15,7 @@ from softmap_edge import _core
 from softmap_edge.commands.output import check_file, check_no_run
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import SoftmapError, no_effect
+from softmap_edge.files.atomic import write_atomically
 from softmap_edge.files.npz import write_npz
 from softmap_edge.files.numbers import WIDTH
 from softmap_edge.model.model import Model
@@ -153,7 +154,7 @@ def _new(args: EffectsOptions) -> int:
     check_file("effects new", str(file))
     if file.exists():
         raise SoftmapError(f"{file} stands here already; give another name or remove it")
-    file.write_text(text, encoding="utf-8")
+    write_atomically(file, text)
     if args.json:
         print(json.dumps({"schema": "softmap.effects/1", "written": str(file)}))
     else:

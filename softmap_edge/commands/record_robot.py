@@ -30,6 +30,7 @@ from softmap_edge.commands.robot import announce_edited_limits, emulated, own_ma
 from softmap_edge.commands.seeing import late, receiver
 from softmap_edge.errors import RecordingWarning, SoftmapError
 from softmap_edge.files.atomic import Document
+from softmap_edge.files.refusals import refusal
 from softmap_edge.model.bundle import save_bundle
 from softmap_edge.model.model import Model
 from softmap_edge.robot.control.controller import Controller
@@ -106,9 +107,7 @@ def record_on_robot(args: RecordOptions) -> int:
         if seen_file.exists() and file.exists():
             to_stderr(f"kept: {file} and {seen_file}; they become the run by: {_again(args)}")
         if isinstance(fault, OSError):
-            raise SoftmapError(
-                f"{args.out}: {(fault.strerror or str(fault)).lower()}; see to the disk"
-            ) from None
+            raise SoftmapError(refusal(fault, args.out)) from None
         raise
     seen_file.unlink()
     if not args.record:

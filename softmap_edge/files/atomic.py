@@ -15,6 +15,7 @@ from softmap_edge.errors import SoftmapError
 
 Document = dict[str, Any]  # content of a JSON or TOML file
 
+_LONGEST_PREFIX = 40  # characters: a name of any allowed length has room for a temporary one
 MOST_TEXT = 64 << 20  # bytes of a document at most
 
 
@@ -34,12 +35,17 @@ def replacement_of(file: Path) -> Iterator[Path]:
     """Yield a new file next to `file` to write into.
 
     It replaces `file` once complete, and is deleted on failure. Errors of the system name `file`.
+    A folder, a device or a pipe is never replaced.
     """
-    with _errors_name(file):
-        descriptor, name = tempfile.mkstemp(prefix=f".{file.name}.", dir=file.parent)
-        os.close(descriptor)
+    with _errors_name(file) as prefix:
+        if file.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(file))
+        if file.exists() and not file.is_file():
+            raise OSError(errno.EINVAL, "a device or a pipe, not a file", str(file))
+        descriptor, name = tempfile.mkstemp(prefix=prefix, dir=file.parent)
         partial = Path(name)
         try:
+            os.close(descriptor)
             yield partial
             partial.chmod(0o666 & ~_mask())
             partial.replace(file)
@@ -51,32 +57,42 @@ def replacement_of(file: Path) -> Iterator[Path]:
 def replacement_of_folder(folder: Path) -> Iterator[Path]:
     """Yield a new folder next to `folder` to write into.
 
-    It replaces `folder` once complete, and is deleted on failure. Errors of the system name
-    `folder`.
+    It replaces `folder` once complete, and is deleted on failure; then `folder` stays as it was.
+    Errors of the system name `folder`.
     """
-    with _errors_name(folder):
+    with _errors_name(folder) as prefix:
+        if folder.exists() and not folder.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(folder))
         folder.parent.mkdir(parents=True, exist_ok=True)
-        partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+        work = Path(tempfile.mkdtemp(prefix=prefix, dir=folder.parent))
+        partial, before = work / "new", work / "before"
         try:
-            partial.chmod(0o777 & ~_mask())
+            partial.mkdir()
             yield partial
-            if folder.exists():
-                shutil.rmtree(folder)
-            partial.replace(folder)
+            try:
+                if folder.exists():
+                    folder.replace(before)
+                partial.replace(folder)
+            except BaseException:
+                if before.exists() and not folder.exists():
+                    before.replace(folder)
+                raise
         finally:
-            shutil.rmtree(partial, ignore_errors=True)
+            shutil.rmtree(work, ignore_errors=True)
 
 
 @contextmanager
-def _errors_name(path: Path) -> Iterator[None]:
-    """Raise errors of the system with `path` in place of the name of a temporary file."""
+def _errors_name(path: Path) -> Iterator[str]:
+    """Yield the start of the names of temporary files; errors of the system name `path` instead."""
+    prefix = f".{path.name[:_LONGEST_PREFIX]}."
     try:
-        yield
+        yield prefix
     except OSError as error:
-        other = error.filename is not None and f".{path.name}." not in str(error.filename)
+        other = error.filename is not None and prefix not in str(error.filename)
         if error.errno is None or other:
             raise
-        raise type(error)(error.errno, os.strerror(error.errno), str(path)) from error
+        words = os.strerror(error.errno) if error.strerror is None else error.strerror
+        raise type(error)(error.errno, words, str(path)) from error
 
 
 def _mask() -> int:

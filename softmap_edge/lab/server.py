@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Self
 from softmap_edge.errors import LabError, SoftmapError
 from softmap_edge.files.atomic import Document
 from softmap_edge.files.printable import one_line
+from softmap_edge.files.refusals import refusal
 from softmap_edge.lab.messages import (
     LONGEST,
     BadRequest,
@@ -152,7 +153,8 @@ class LabServer:
         try:
             message = self._answered(request)
         except (SoftmapError, OSError) as fault:
-            message = text({"re": request.id, "error": one_line(str(fault))})
+            why = refusal(fault) if isinstance(fault, OSError) else str(fault)
+            message = text({"re": request.id, "error": one_line(why)})
         except Exception as fault:  # a fault of ours must not end the worker
             why = f"{request.do} failed: {type(fault).__name__}: {one_line(str(fault))[:200]}"
             message = text({"re": request.id, "error": why})

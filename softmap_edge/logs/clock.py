@@ -421,7 +421,7 @@ def _gaps(where: str, t: Array, cells: Cells) -> list[str]:
     missing, row = int(np.rint(step[gaps] / usual - 1).sum()), int(np.argmax(step))
     return [
         f"{missing} rows are missing in {int(gaps.sum())} gaps, the longest {step[row]:.3g} s "
-        f"after {where} {cells.lines[row]} (usual step {usual:.3g} s); nothing is made up for them"
+        f"after {where} {cells.lines[row]} (usual step {usual:.3g} s); no rows are added for them"
     ]
 
 

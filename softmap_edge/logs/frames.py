@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from softmap_edge.errors import RunError, differing_times
 from softmap_edge.files.atomic import Document
 from softmap_edge.files.printable import listed
+from softmap_edge.logs.coverage import unseen_spans
 from softmap_edge.logs.held import LONGEST_HOLD, repeated_frames
 from softmap_edge.logs.likelihood import lines_of, unlikely
 from softmap_edge.logs.mapping import FILE, LENGTH, PIXEL, Log, Mapping, Quantity
@@ -409,7 +410,7 @@ def choose_frames(
     """
     low = max(float(t[0]), mapping.from_s if mapping.from_s is not None else -np.inf)
     high = min(float(t[-1]), mapping.to_s if mapping.to_s is not None else np.inf)
-    slack = 1e-9 * max(1.0, abs(low), abs(high))
+    slack = max(1e-9, 4.0 * float(np.spacing(max(abs(low), abs(high)))))  # rounding of times
     keep = np.flatnonzero((t_seen >= low - slack) & (t_seen <= high + slack))
     if len(t_seen) and not len(keep):
         first, last, begin, end = differing_times(float(t_seen[0]), float(t_seen[-1]), low, high)
@@ -422,6 +423,7 @@ def choose_frames(
             f"{len(t_seen) - len(keep)} of {len(t_seen)} frames lie outside "
             f"{' to '.join(differing_times(low, high))} s and were dropped"
         )
+    notes += unseen_spans(t_seen[keep], low, high)
     if mapping.seen_rate_hz is not None and len(keep) > 1:
         # first frame at or after each tick of the requested rate, even if the log's clock jitters
         tick = np.floor((t_seen[keep] - t_seen[keep[0]]) * mapping.seen_rate_hz + 1e-6)

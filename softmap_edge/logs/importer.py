@@ -14,7 +14,7 @@ import fnmatch
 import hashlib
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +27,7 @@ from softmap_edge.files.mcap_records import Damage
 from softmap_edge.files.printable import listed, plain_line
 from softmap_edge.logs.clock import corrected
 from softmap_edge.logs.column_roles import doubts_of_roles
+from softmap_edge.logs.coverage import doubts_of_pauses
 from softmap_edge.logs.frames import choose_frames, seen
 from softmap_edge.logs.held import unhold
 from softmap_edge.logs.mapping import ANGLE, CONDITIONS, LENGTH, Mapping, Quantity, read_mapping
@@ -40,6 +41,7 @@ from softmap_edge.logs.plausible import (
     doubts_of_time,
     doubts_of_unread,
 )
+from softmap_edge.logs.recorded import check_frames, doubts_of_lists, on_one_clock
 from softmap_edge.logs.sensor_errors import without_errors
 from softmap_edge.logs.sources import assign, named, open_parts, parts_of
 from softmap_edge.logs.table import LogTable, read_log
@@ -87,10 +89,15 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
     notes += [note for part in parts for note in part.notes]
     mapping, logs = assign(parts, mapping)
     with named(parts):
-        tables = [
-            read_log(one.path, log, open_parts(one.parts, log))
-            for one, log in zip(logs, mapping.logs)
-        ]
+        opened = [open_parts(one.parts, log) for one, log in zip(logs, mapping.logs)]
+        for one, log, columns in zip(logs, mapping.logs, opened):
+            found = [*check_frames(log, columns), *doubts_of_lists(log, columns)]
+            doubts += [f"{one.label}: {doubt}" for doubt in found]
+        clocks = on_one_clock(mapping.logs, opened)
+        mapping = replace(mapping, logs=clocks.logs)
+        notes += clocks.notes
+        doubts += clocks.doubts
+        tables = [read_log(one.path, log, opened.pop(0)) for one, log in zip(logs, mapping.logs)]
     damage = tuple(
         dict.fromkeys(note for table in tables for note in table.notes if isinstance(note, Damage))
     )
@@ -301,6 +308,8 @@ def _command_rows(
                     )
                 elif quantity.held == "unhold":
                     notes.append(f"{name}: no held samples found")
+            if t is not None and "timeless" not in fields and name not in ("command", "ticks"):
+                doubts += doubts_of_pauses(name, t, own)
             column = values if t is None or np.array_equal(t, own) else _interpolate(t, own, values)
             if name in CONDITIONS:
                 fields[name] = column[:, 0]

@@ -29,6 +29,7 @@ from softmap_edge.logs.measured import (
 )
 from softmap_edge.logs.pivot import KEY as PIVOT
 from softmap_edge.logs.pivot import Pivot, pivot_of
+from softmap_edge.logs.readers.cdr import FRAME
 from softmap_edge.logs.time_keys import NO_TIME as NO_TIME
 from softmap_edge.logs.time_keys import TIME as TIME
 from softmap_edge.logs.time_keys import Clock as Clock
@@ -62,7 +63,7 @@ KEYS = (
     *("frame", "commands", "seen", "blocks", "constant"),
 )
 LOG = (
-    *("file", "topic", "episode", "delimiter", "decimal", "header"),
+    *("file", "topic", "frame_id", "episode", "delimiter", "decimal", "header"),
     *("skip_rows", "skip_last_rows", "from_row", "to_row", "time", "block", "output"),
     PIVOT,
 )
@@ -118,6 +119,7 @@ class Log:
     from_row: int = 0  # first row that is read, counted from 0
     to_row: int | None = None
     pivot: Pivot | None = None  # of a table with one row for each marker
+    frame_id: str | None = None  # of a recording: the frame whose places are read
 
 
 @dataclass(frozen=True)
@@ -360,6 +362,7 @@ def _log(table: TomlTable, command_unit: str) -> Log:
         from_row=table.integer("from_row", 0, 0, 10**9) or 0,
         to_row=table.integer("to_row", None, 0, 10**9),
         pivot=pivot_of(table),
+        frame_id=_frame_id(table),
     )
     if log.decimal == "," and log.delimiter == ",":
         raise RunError(
@@ -379,6 +382,15 @@ def _log(table: TomlTable, command_unit: str) -> Log:
         what = "block labels belong" if base is None else "base markers belong"
         raise RunError(f"{table.where}: {what} to the log with the markers; move them there")
     return log
+
+
+def _frame_id(table: TomlTable) -> str | None:
+    """Return the frame that a log declares; the leading stroke of ROS 1 does not count."""
+    given = table.get("frame_id", (str,))
+    name = None if given is None else str(given).removeprefix("/")[:FRAME]
+    if name == "":
+        raise RunError(f"{table.where}: frame_id is empty; name a frame, or leave it out")
+    return name
 
 
 def _column(table: TomlTable, key: str) -> Column | None:

@@ -121,16 +121,18 @@ def topics_of(part: Part) -> list[Topic]:
         return topics_of_db3(part.file) if part.kind == "db3" else topics(part.file, part.path)
 
 
-def open_topic(part: Part, topic: str | None, most: int | None = None) -> Columns:
-    """Open a topic of a recording.
+def open_topic(
+    part: Part, topic: str | None, most: int | None = None, frame: str | None = None
+) -> Columns:
+    """Open a topic of a recording; `frame` limits it to places in this frame.
 
     Raises:
         RunError: it is damaged, or the topic is absent.
     """
     with called(part.file, part.path):
         if part.kind == "db3":
-            return open_db3(part.file, topic, most)
-        return open_mcap(part.file, topic, most, part.path)
+            return open_db3(part.file, topic, most, frame)
+        return open_mcap(part.file, topic, most, part.path, frame)
 
 
 def open_parts(parts: Sequence[Part], log: Log) -> Columns:
@@ -141,7 +143,12 @@ def open_parts(parts: Sequence[Part], log: Log) -> Columns:
     """
     first = parts[0]
     if first.kind in RECORDINGS:
-        return _recording(parts, log.topic)
+        return _recording(parts, log.topic, frame=log.frame_id)
+    if log.frame_id is not None:
+        raise RunError(
+            f"{first.path}: frame_id = '{log.frame_id[:60]}' is for recordings of ROS, and this is "
+            "none; leave it out"
+        )
     if len(parts) == 1:
         with called(first.file, first.path):
             return open_log(first.file, log)
@@ -175,10 +182,12 @@ def _check_alike(path: Path, opened: Sequence[tuple[str, Columns]], log: Log) ->
         )
 
 
-def _recording(parts: Sequence[Part], topic: str | None, most: int | None = None) -> Columns:
+def _recording(
+    parts: Sequence[Part], topic: str | None, most: int | None = None, frame: str | None = None
+) -> Columns:
     """Open a topic of a recording in one or several files."""
     if len(parts) == 1:
-        return open_topic(parts[0], topic, most)
+        return open_topic(parts[0], topic, most, frame)
     held = [[one for one in topics_of(part) if one.count] for part in parts]
     named = {one.name: one.type for listed in held for one in listed}
     if topic is None and len(named) != 1:
@@ -187,7 +196,7 @@ def _recording(parts: Sequence[Part], topic: str | None, most: int | None = None
     holders = [part for part, listed in zip(parts, held) if asked in (one.name for one in listed)]
     if not holders:
         raise no_message(parts[0].given, asked, named)
-    opened = tuple((part.path.name, open_topic(part, asked, most)) for part in holders)
+    opened = tuple((part.path.name, open_topic(part, asked, most, frame)) for part in holders)
     return (
         opened[0][1]
         if len(opened) == 1

@@ -70,7 +70,7 @@ def test_a_diagnosis_that_cannot_be_written_is_printed(tmp_path):
     finger_run(["backlash"], {"backlash.gap": 1.5}).save(tmp_path / "run.npz")
     done = limited(1000, "diagnose", "run.npz", "--out", "d.json", cwd=tmp_path)
     assert done.returncode == 2 and "backlash" in done.stdout
-    assert done.stderr.rstrip().endswith("; give a path that exists and may be used for this")
+    assert done.stderr.rstrip().endswith("or give a disk that takes larger files")
     assert "d.json: " in done.stderr and "Traceback" not in done.stderr
     assert [file.name for file in tmp_path.iterdir()] == ["run.npz"]
 
@@ -81,7 +81,7 @@ def test_a_bundle_that_cannot_be_written_leaves_nothing(tmp_path):
     finger_run(["backlash"], {"backlash.gap": 1.5}).save(tmp_path / "run.npz")
     assert main(["diagnose", str(tmp_path / "run.npz"), "--out", str(tmp_path / "d.json")]) == 0
     done = limited(1000, "add", "--from", "d.json", "--out", "better", cwd=tmp_path)
-    assert done.returncode == 2 and f"{tmp_path / 'better'}: file too large" in done.stderr
+    assert done.returncode == 2 and f"{tmp_path / 'better'}: it would be larger" in done.stderr
     assert sorted(file.name for file in tmp_path.iterdir()) == ["d.json", "run.npz"]
 
 
@@ -91,8 +91,8 @@ def test_a_full_disk_has_its_own_remedy(tmp_path, monkeypatch, capsys):
     argv = ["run", "cut", str(tmp_path / "run.npz"), "--from", "0", "--to", "30"]
     assert main([*argv, "--out", str(tmp_path / "piece.npz")]) == 2
     assert (
-        f"{tmp_path / 'piece.npz'}: no space left on device; free some space, or give a place "
-        "with more of it" in capsys.readouterr().err
+        f"{tmp_path / 'piece.npz'}: the disk is full; free some space, or give another place"
+        in capsys.readouterr().err
     )
 
 

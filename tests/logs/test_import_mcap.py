@@ -19,7 +19,7 @@ from recordings import (
 
 from softmap_edge.errors import RecordingWarning, RunError
 from softmap_edge.logs.importer import import_logs, read_mapping
-from softmap_edge.logs.readers.cdr import CdrError, parse_definition, read_message
+from softmap_edge.logs.readers.cdr import CdrError, Message, parse_definition, read_message
 from softmap_edge.logs.readers.mcap_file import open_mcap, topics
 from softmap_edge.logs.readers.messages import MessageRows
 
@@ -242,7 +242,8 @@ def test_alignment_order_bounds_and_constants(order):
         + e(order + "Iii", 2, 5, -6)
     )
     body += b"\0" + b"\0" * ((-len(body) - 1) % 8) + e(order + "q", 7)
-    numbers = read_message(MIXED[0], types, bytes([0, int(order == "<"), 0, 0]) + body)
+    content = bytes([0, int(order == "<"), 0, 0]) + body
+    numbers = read_message(MIXED[0], types, content).numbers
     assert numbers == {
         "a": -2,
         "b": 1.5,
@@ -262,7 +263,7 @@ NESTED = f"pkg/B[1000] b{BAR}pkg/B\npkg/C[1000] c{BAR}pkg/C\npkg/D[1000] d{BAR}p
 def test_structs_without_a_byte_are_read():
     types = parse_definition("pkg/msg/M", f"pkg/B[50] b\nfloat64 y{BAR}pkg/B\nfloat64[0] x")
     data = b"\0\1\0\0" + struct.pack("<d", 2.5) + bytes(50)
-    assert read_message("pkg/msg/M", types, data) == {"y": 2.5}
+    assert read_message("pkg/msg/M", types, data).numbers == {"y": 2.5}
 
 
 @pytest.mark.parametrize(
@@ -310,7 +311,7 @@ def test_every_definition_of_the_tests_is_read():
 def test_a_field_called_as_a_column_of_time_keeps_its_own_column(tmp_path, field):
     rows = MessageRows(tmp_path / "log.mcap", "/t")
     for k in range(5):
-        rows.add({field: 7.0 * k, "pose.x": 3.0 * k}, 100.0 + 0.1 * k)
+        rows.add(Message({field: 7.0 * k, "pose.x": 3.0 * k}), 100.0 + 0.1 * k)
     columns = rows.columns()
     values = dict(zip(columns.names, columns.numbers.T))
     assert values["time"] == pytest.approx(100 + 0.1 * np.arange(5)) == values["log_time"]
@@ -322,7 +323,7 @@ def test_a_field_called_as_a_column_of_time_keeps_its_own_column(tmp_path, field
 def test_a_stamp_without_a_header_is_a_column_next_to_the_time(tmp_path):
     rows = MessageRows(tmp_path / "log.mcap", "/t")
     for k in range(3):
-        rows.add({"stamp": 5.0 + k, "time.sec": 1.0, "x": 2.0}, 100.0 + k)
+        rows.add(Message({"stamp": 5.0 + k, "time.sec": 1.0, "x": 2.0}), 100.0 + k)
     columns = rows.columns()
     assert columns.names == ["time", "stamp", "time.sec", "x", "log_time"]
     assert columns.numbers[:, 0] == pytest.approx([100.0, 101.0, 102.0])

@@ -7,6 +7,7 @@ import pytest
 from containers import messages, write_db3
 from recordings import write_mcap
 
+from softmap_edge.logs.readers.cdr import Message
 from softmap_edge.logs.readers.mcap_file import open_mcap
 from softmap_edge.logs.readers.messages import MessageRows
 from softmap_edge.logs.readers.rosbag_sqlite import open_db3
@@ -37,7 +38,7 @@ def test_stamps_of_zero_leave_one_clock(tmp_path, kind, change):
 def test_the_clock_of_a_simulation_may_start_at_zero(tmp_path, first):
     rows = MessageRows(tmp_path, "/goal")
     for k in range(9):
-        rows.add({"header.stamp": first + 0.1 * k}, 1.9e9 + k)
+        rows.add(Message({"header.stamp": first + 0.1 * k}), 1.9e9 + k)
     columns = rows.columns()
     assert np.allclose(columns.numbers[:, 0], first + 0.1 * np.arange(9))
     assert columns.notes == ()

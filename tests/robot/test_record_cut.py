@@ -307,7 +307,7 @@ def test_an_error_in_making_the_run_keeps_both_files(folder, monkeypatch, capsys
         patch.setattr("softmap_edge.run.run.Run.save", fails)
         assert main(["record", "c.csv", "--emulated", "--out", "run.npz"]) == 2
     said = capsys.readouterr().err
-    assert "run.npz: no space left on device; see to the disk" in said
+    assert "run.npz: the disk is full; free some space, or give another place" in said
     assert (
         "kept: run.loop.mcap and run.seen; they become the run by: softmap record c.csv --recover "
         "run.seen" in said

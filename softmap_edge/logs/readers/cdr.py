@@ -5,10 +5,11 @@
 Names are such as `pose.position.x` or `position[j1]`. Elements of sequences get their index in
 brackets, or a name if the message has one: from a sibling `name` or `joint_names` of the same
 length (JointState), or from the element's own `child_frame_id` or `…name` (TFMessage, rigid
-bodies). Times are in s. Texts, bytes and sequences of more than 1024 elements are skipped. The
-bytes are not trusted: each length is checked against the remaining bytes before use, the nesting of
-types is limited, and every fault is a `CdrError`. Reference: OMG DDS-XTypes 1.3, 7.4.1 (plain CDR);
-the .msg grammar of ROS 2. Pinned by tests/logs/test_import_mcap.py against mcap-ros2-support.
+bodies). Times are in s. Texts, bytes and sequences of more than 1024 elements are skipped; of texts
+only the frames (`header.frame_id`) are kept, because places in two frames are not one. The bytes
+are not trusted: each length is checked against the remaining bytes before use, the nesting of types
+is limited, and every fault is a `CdrError`. Reference: OMG DDS-XTypes 1.3, 7.4.1 (plain CDR); the
+.msg grammar of ROS 2. Pinned by tests/logs/test_import_mcap.py against mcap-ros2-support.
 
 Why not mcap-ros2-support 0.6.0 itself: 10 000 messages and definitions with 1 to 4 mutations were
 tried (joint states, transforms, empty types). This reader returned 1343 and raised CdrError for
@@ -19,8 +20,11 @@ of them). Both need less than 0.03 s and 2 MB for any of these messages.
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import struct
+from collections import Counter
+from collections.abc import Container
 from dataclasses import dataclass
 
 from softmap_edge.logs.readers.packed import ZSTD
@@ -53,8 +57,28 @@ _TIMES = ("builtin_interfaces/Time", "builtin_interfaces/Duration")
 _FIELD = re.compile(r"^([\w/]+)(<=\d+)?(\[(?:<=)?\d*\])?\s+(\w+)")
 
 
+FRAME = 200  # characters of the name of a frame
+
+
 class CdrError(ValueError):
     """A message or its definition cannot be read."""
+
+
+@dataclass
+class Message:
+    """The content of one message.
+
+    Attributes:
+        numbers: the numbers by name, in the message's order.
+        frames: `frame_id` of each struct with a header, by the start of the names of its numbers:
+            "" for the message, `transforms[tip].` for an element. An element whose frame is empty
+            is in that of the struct around it.
+        others: frames that were left out, with the number of headers that name them.
+    """
+
+    numbers: dict[str, float] = dataclasses.field(default_factory=dict)
+    frames: dict[str, str] = dataclasses.field(default_factory=dict)
+    others: Counter[str] = dataclasses.field(default_factory=Counter)
 
 
 @dataclass(frozen=True)
@@ -120,27 +144,56 @@ def _field(line: str, owner: str) -> Field | None:
 
 
 # --- messages ------------------------------------------------------------------------------
-def read_message(name: str, types: Types, data: bytes, complete: bool = False) -> dict[str, float]:
-    """Return the numbers of a message by name, in the message's order.
+def read_message(
+    name: str, types: Types, data: bytes, complete: bool = False, frame: str | None = None
+) -> Message:
+    """Return the numbers of a message by name, and the frames of its places.
 
     Args:
         name: the type, such as `sensor_msgs/msg/JointState`.
         types: its fields, from `parse_definition`.
         data: the message as CDR, compressed with zstd if rosbag2 compressed each message.
         complete: whether the message must be used up to its last byte, except padding.
+        frame: the only frame whose numbers are returned; None for all.
 
     Raises:
         CdrError: the bytes do not match the definition.
     """
-    reader = _Reader(_plain(data))
-    numbers: dict[str, float] = {}
+    reader = _Reader(_plain(data), frame)
+    message = Message()
     try:
-        _struct(_short(name), types, reader, "", numbers, 0)
+        _struct(_short(name), types, reader, "", message, 0)
     except struct.error:
         raise CdrError("a message ends early") from None
     if complete and len(reader.data) - reader.at >= _PADDING:
         raise CdrError(f"{len(reader.data) - reader.at} bytes of a message are left over")
-    return numbers
+    _inherit(message.frames)
+    return message if frame is None else _only(message, frame)
+
+
+def frame_path(column: str, frames: Container[str]) -> str | None:
+    """Return the start of a column's name under which its frame is stated; None if it has none."""
+    ends = [k + 1 for k, mark in enumerate(column) if mark == "."]
+    return next((column[:end] for end in (*reversed(ends), 0) if column[:end] in frames), None)
+
+
+def _inherit(frames: dict[str, str]) -> None:
+    """Set empty frames to that of the struct around them."""
+    for path in sorted((path for path in frames if path and not frames[path]), key=len):
+        around = frame_path(path[:-1], frames)
+        frames[path] = "" if around is None else frames[around]
+
+
+def _only(message: Message, frame: str) -> Message:
+    """Return the numbers of one frame; the frames of the others are counted."""
+    others = message.others + Counter(name for name in message.frames.values() if name != frame)
+    numbers = {
+        name: value
+        for name, value in message.numbers.items()
+        if (path := frame_path(name, message.frames)) is not None and message.frames[path] == frame
+    }
+    frames = {path: name for path, name in message.frames.items() if name == frame}
+    return Message(numbers, frames, others)
 
 
 def _plain(data: bytes) -> bytes:
@@ -166,12 +219,13 @@ def _plain(data: bytes) -> bytes:
 class _Reader:
     """The bytes of one message and the read position."""
 
-    def __init__(self, data: bytes) -> None:
+    def __init__(self, data: bytes, frame: str | None = None) -> None:
         if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
             raise CdrError(
                 f"a message begins with {data[:2].hex()}, expected plain CDR (0000 or 0001)"
             )
         self.data, self.at, self.order = data, 4, "<" if data[1] else ">"
+        self.frame = frame  # the only one that is asked for
         self.steps = _STEPS_A_BYTE * len(data) + MOST
 
     def step(self) -> None:
@@ -214,14 +268,14 @@ class _Reader:
 
 
 def _struct(
-    name: str, types: Types, reader: _Reader, path: str, out: dict[str, float], depth: int
+    name: str, types: Types, reader: _Reader, path: str, out: Message, depth: int
 ) -> dict[str, str]:
     """Read one struct into `out`; return its texts."""
     reader.step()
     if depth > _DEEPEST:
         raise CdrError("types are nested without end")
     if name in _TIMES and name not in types:
-        out[path.rstrip(".")] = reader.one("i") + 1e-9 * reader.one("I")
+        out.numbers[path.rstrip(".")] = reader.one("i") + 1e-9 * reader.one("I")
         return {}
     texts: dict[str, str] = {}
     keys: list[str] = []  # names of the elements of sequences in this struct
@@ -260,11 +314,13 @@ def _struct(
             reader.left(count, 1)
             for k in range(count):
                 _element(k, field, types, reader, here, out, depth)
+    if (frame := texts.get("header.frame_id")) is not None:
+        out.frames[path] = frame.removeprefix("/")[:FRAME]
     return texts
 
 
 def _nested(
-    field: Field, types: Types, reader: _Reader, here: str, out: dict[str, float], depth: int
+    field: Field, types: Types, reader: _Reader, here: str, out: Message, depth: int
 ) -> dict[str, str]:
     if field.type == "wstring":
         raise CdrError("texts of type wstring are not read")
@@ -277,11 +333,11 @@ def _element(
     types: Types,
     reader: _Reader,
     here: str,
-    out: dict[str, float],
+    out: Message,
     depth: int,
 ) -> None:
     """Read one struct of a sequence, named by its own name field if it has one."""
-    own: dict[str, float] = {}
+    own = Message()
     texts = _nested(field, types, reader, "", own, depth)
     key = next(
         (
@@ -291,12 +347,19 @@ def _element(
         ),
         str(k),
     )
-    if k < LONGEST:
-        for name, value in own.items():
+    frame = own.frames.get("", "")
+    # left out here: another element of this name may be in the frame asked for
+    if frame and reader.frame is not None and frame != reader.frame:
+        if frame in out.others or len(out.others) < LONGEST:
+            out.others[frame] += 1
+    elif k < LONGEST:
+        for name, value in own.numbers.items():
             _put(out, f"{here}[{key}].{name}", value)
+        out.frames |= {f"{here}[{key}].{path}": name for path, name in own.frames.items()}
+    out.others += own.others
 
 
-def _put(out: dict[str, float], name: str, value: float) -> None:
-    if len(out) >= MOST:
+def _put(out: Message, name: str, value: float) -> None:
+    if len(out.numbers) >= MOST:
         raise CdrError(f"a message holds more than {MOST} numbers")
-    out[name] = float(value)
+    out.numbers[name] = float(value)

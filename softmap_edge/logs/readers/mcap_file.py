@@ -17,9 +17,13 @@ from typing import TYPE_CHECKING
 from softmap_edge.errors import RecordingWarning, RunError
 from softmap_edge.files.mcap_records import MAGIC
 from softmap_edge.logs.readers.cdr import CdrError, Types, parse_definition, read_message
-from softmap_edge.logs.readers.columns import HeldColumns
 from softmap_edge.logs.readers.mcap_messages import Messages
-from softmap_edge.logs.readers.messages import MessageRows, no_message, several_topics
+from softmap_edge.logs.readers.messages import (
+    MessageRows,
+    TopicColumns,
+    no_message,
+    several_topics,
+)
 
 if TYPE_CHECKING:
     from mcap.records import Channel, Schema
@@ -62,16 +66,26 @@ def topics(path: Path, shown: Path | None = None) -> list[Topic]:
 
 
 def open_mcap(
-    path: Path, topic: str | None, most: int | None = None, shown: Path | None = None
-) -> HeldColumns:
-    """Read the messages of a topic (None: the only one); `most` limits their number.
+    path: Path,
+    topic: str | None,
+    most: int | None = None,
+    shown: Path | None = None,
+    frame: str | None = None,
+) -> TopicColumns:
+    """Read the messages of a topic.
 
-    `shown` is the path in messages about damage, for example that of the packed file. Damaged or
-    missing parts are reported as a `Damage` among the notes and as a `RecordingWarning`.
+    Damaged or missing parts are reported as a `Damage` among the notes and as a `RecordingWarning`.
+
+    Args:
+        path: the recording.
+        topic: None for the only one.
+        most: limits the number of messages.
+        shown: the path in messages about damage, for example that of the packed file.
+        frame: the only frame whose places are read; None for all.
 
     Raises:
-        RunError: `mcap` is not installed, the file is damaged, or the topic is absent or cannot be
-            decoded.
+        RunError: `mcap` is not installed, the file is damaged, the topic is absent or cannot be
+            decoded, or nothing is in the frame.
     """
     if topic is None:
         found = topics(path, shown)
@@ -79,7 +93,7 @@ def open_mcap(
             raise several_topics(path, {one.name: one.type for one in found})
         topic = found[0].name
     messages = Messages(path, shown)
-    rows = MessageRows(path, topic)
+    rows = MessageRows(path, topic, frame)
     known: dict[int, tuple[str, Types]] = {}
     seen: set[str] = set()
     for channel, schema, message in messages:
@@ -89,22 +103,22 @@ def open_mcap(
         if channel.id not in known:
             known[channel.id] = _definition(path, channel, schema)
         try:
-            numbers = read_message(*known[channel.id], message.data)
+            content = read_message(*known[channel.id], message.data, frame=frame)
         except CdrError as fault:
             raise RunError(
-                f"{path}: topic {topic[:60]}, message {len(rows.rows) + 1}: {fault}; the file is "
+                f"{path}: topic {topic[:60]}, message {rows.count + 1}: {fault}; the file is "
                 "damaged"
             ) from None
-        rows.add(numbers, 1e-9 * message.log_time)
+        rows.add(content, 1e-9 * message.log_time)
         if most is not None and len(rows.rows) >= most:
             break
     notes = list[str](messages.account.remarks)
     if most is None and (damage := messages.account.damage) is not None:
         notes.insert(0, damage)
-        if not rows.rows:
+        if not rows.count:
             raise RunError(f"{damage}; nothing of topic {topic[:60]} is left")
         warnings.warn(RecordingWarning(damage), stacklevel=2)
-    if not rows.rows:
+    if not rows.count:
         raise no_message(path, topic, seen)
     return rows.columns(tuple(notes))
 

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
 from softmap_edge.errors import RunError, brief
+from softmap_edge.files.refusals import NO_ROOM, refusal
 
 if TYPE_CHECKING:
     from zstandard import ZstdDecompressor
@@ -101,9 +102,8 @@ def _unpack(path: Path, file: Path) -> None:
             f"{path}: is a damaged packed file ({brief(fault)}); copy it again"
         ) from None
     except OSError as cause:
-        raise RunError(
-            f"{path}: cannot be unpacked ({cause.strerror or cause}); unpack it yourself"
-        ) from cause
+        where = file.parent if cause.errno in NO_ROOM else path
+        raise RunError(f"{path}: cannot be unpacked: {refusal(cause, where)}") from cause
 
 
 def _limit_of(path: Path, file: Path) -> int:

@@ -20,11 +20,16 @@ from pathlib import Path
 
 from softmap_edge.errors import RunError, brief
 from softmap_edge.files.printable import listed as listed_words
+from softmap_edge.files.refusals import NO_ROOM, refusal
 from softmap_edge.logs.readers.cdr import CdrError, Types, parse_definition, read_message
-from softmap_edge.logs.readers.columns import HeldColumns
 from softmap_edge.logs.readers.mcap_file import Topic
 from softmap_edge.logs.readers.message_types import known_definition
-from softmap_edge.logs.readers.messages import MessageRows, no_message, several_topics
+from softmap_edge.logs.readers.messages import (
+    MessageRows,
+    TopicColumns,
+    no_message,
+    several_topics,
+)
 
 MAGIC = b"SQLite format 3\0"
 LIMIT = 2**33  # bytes of one file
@@ -66,23 +71,30 @@ def topics_of_db3(path: Path) -> list[Topic]:
     ]
 
 
-def open_db3(path: Path, topic: str | None, most: int | None = None) -> HeldColumns:
-    """Read the messages of a topic (None: the only one); `most` limits their number.
+def open_db3(
+    path: Path, topic: str | None, most: int | None = None, frame: str | None = None
+) -> TopicColumns:
+    """Read the messages of a topic.
+
+    Args:
+        path: the recording.
+        topic: None for the only one.
+        most: limits the number of messages.
+        frame: the only frame whose places are read; None for all.
 
     Raises:
-        RunError: the file is damaged, or the topic is absent or cannot be decoded.
+        RunError: the file is damaged, the topic is absent or cannot be decoded, or nothing is in
+            the frame.
     """
     with _opened(path) as (database, notes):
         channels = _channels(path, database)
         notes += _unlisted(database, channels)
         channel = _chosen(path, channels, topic)
         types = _types_or_fault(path, channel)
-        rows = MessageRows(path, channel.name)
+        rows = MessageRows(path, channel.name, frame)
         for k, (logged, data) in enumerate(_messages(path, database, channel, most)):
             try:
-                numbers = read_message(
-                    channel.type, types, data, complete=channel.definition is None
-                )
+                content = read_message(channel.type, types, data, channel.definition is None, frame)
             except CdrError as fault:
                 why = "the file is damaged"
                 if channel.definition is None:
@@ -93,7 +105,7 @@ def open_db3(path: Path, topic: str | None, most: int | None = None) -> HeldColu
                 raise RunError(
                     f"{path}: topic {channel.name[:60]}, message {k + 1}: {fault}; {why}"
                 ) from None
-            rows.add(numbers, 1e-9 * logged)
+            rows.add(content, 1e-9 * logged)
     return rows.columns(tuple(notes), by_time=True)
 
 
@@ -167,6 +179,10 @@ def _opened(path: Path) -> Iterator[tuple[sqlite3.Connection, list[str]]]:
                 f"{path}: is a damaged SQLite file ({brief(fault)}); {_RECOVER}"
             ) from None
         except OSError as cause:
+            if cause.errno in NO_ROOM:  # of the copy with what the recorder left
+                raise RunError(
+                    f"{path}: cannot be copied: {refusal(cause, tempfile.gettempdir())}"
+                ) from cause
             raise RunError(
                 f"{path}: cannot be read ({cause.strerror or cause}); give the path of a log"
             ) from cause

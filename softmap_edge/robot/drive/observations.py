@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RecordingBroken, RunError
 from softmap_edge.files.atomic import Document
+from softmap_edge.files.refusals import refusal
 from softmap_edge.model.model import Model
 from softmap_edge.robot.link.frames import Frame, HostClock, Seen
 
@@ -113,9 +114,7 @@ class Keeper:
         except FileExistsError:
             raise RunError(f"{file} exists; give another name to record to") from None
         except OSError as fault:
-            raise RunError(
-                f"{file}: {(fault.strerror or str(fault)).lower()}; see to the folder"
-            ) from None
+            raise RunError(refusal(fault, file)) from None
         self._thread = threading.Thread(target=self._write, daemon=True)
 
     def __enter__(self) -> Self:

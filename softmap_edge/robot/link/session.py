@@ -30,6 +30,7 @@ from types import TracebackType
 from typing import Self
 
 from softmap_edge.errors import LinkError
+from softmap_edge.files.refusals import refusal
 
 # an IPv4 address, an IPv6 address, and one without IPv6 support, as Python returns them
 Address = tuple[str, int] | tuple[str, int, int, int] | tuple[int, bytes]
@@ -49,16 +50,19 @@ def new_key(path: str | Path) -> bytes:
     Raises:
         LinkError: the file exists, or cannot be written.
     """
-    key = secrets.token_bytes(32)
+    key, made = secrets.token_bytes(32), False
     try:
         with open(
             os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii"
         ) as file:
+            made = True
             file.write(key.hex() + "\n")
+    except FileExistsError:
+        raise LinkError(f"{path}: it exists; give the name of a new file for the key") from None
     except OSError as cause:
-        raise LinkError(
-            f"{path}: the key cannot be written ({cause.strerror}); give a new file"
-        ) from None
+        if made:  # not half a key
+            Path(path).unlink(missing_ok=True)
+        raise LinkError(refusal(cause, path)) from None
     return key
 
 

@@ -18,6 +18,7 @@ from pathlib import Path
 
 from softmap_edge.errors import TeleopError
 from softmap_edge.files.atomic import replacement_of, write_atomically
+from softmap_edge.files.refusals import refusal
 
 DETECTOR, LANDMARKS = "hand_detector.tflite", "hand_landmarks_detector.tflite"
 IN_WHEEL = {
@@ -89,9 +90,7 @@ def fetch_model(
             _record(target).unlink(missing_ok=True)
         write_atomically(_record(target), f"{sha256}  {target.name}\n")
     except OSError as cause:
-        raise TeleopError(
-            f"{target}: cannot be written ({cause.strerror or cause}); give another place"
-        ) from None
+        raise TeleopError(refusal(cause, target)) from None
     return check_model(target)
 
 
