@@ -5,7 +5,7 @@ The fit takes seconds and needs only numpy and the core.
 Two rods (rust/rod/) turn commands into markers. If the robot's tendons are described (`robot.py`),
 it is the elastic one, fitted by `elastic_fit.py`; else a chain of chords whose bending angles are a
 polynomial (`polynomial.py`). With both, the memory of the robot during the runs is identified
-(`memory.py`): its law joins the chain by name, with its alternatives. `static` leaves it out. With
+(`memory/`): its law joins the chain by name, with its alternatives. `static` leaves it out. With
 an elastic rod only delays join; other memory is reported. Degree, ridge and law are those with the
 lowest error. Frames closer than `gap_s` to a block are not used to predict it. These few choices
 use the blocks of the stated error, so it is slightly low. Frames in `hold_out` are never used.

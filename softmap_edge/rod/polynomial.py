@@ -22,7 +22,10 @@ from softmap_edge.model.basis import SPLINE_DEGREE, SQUARES, Basis
 from softmap_edge.model.model import TIP_PER_NEWTON
 from softmap_edge.model.polynomial_rod import PolynomialRodArrays
 from softmap_edge.rod.covered_folds import covered_folds, search_folds
-from softmap_edge.rod.memory import FEW_CHANNELS, FRAMES, Memory, find_memory, refined_memory
+from softmap_edge.rod.memory.families import FEW_CHANNELS
+from softmap_edge.rod.memory.memory import Memory
+from softmap_edge.rod.memory.record import refined_memory
+from softmap_edge.rod.memory.search import FRAMES, find_memory
 from softmap_edge.rod.reference_run import Fitted, ReferenceFrames
 from softmap_edge.rod.regression import RIDGE_STEPS, Regression, choose_basis
 from softmap_edge.rod.static_map import StaticMap

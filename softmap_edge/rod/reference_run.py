@@ -24,7 +24,7 @@ from softmap_edge.run.run import Run, Source, known
 
 if TYPE_CHECKING:
     from softmap_edge.model.polynomial_rod import RodArrays
-    from softmap_edge.rod.memory import Memory
+    from softmap_edge.rod.memory.memory import Memory
     from softmap_edge.run.output import Output
 
 Floats = NDArray[np.float64]
