@@ -66,7 +66,7 @@ def changing(outcome: Outcome) -> list[Change]:
     for step in outcome.steps:
         law = step.answer.law
         if (
-            not step.answer.resolved
+            not step.answer.identified
             or law is None
             or not set(law.effects) <= set(state.fit.effects)
         ):

@@ -52,6 +52,7 @@ from softmap_edge.diagnosis.wording import (
 )
 from softmap_edge.files.atomic import Document
 from softmap_edge.model.effect_info import Registry, registry
+from softmap_edge.model.learned_in import Certainty
 from softmap_edge.model.user_effect import hashes
 from softmap_edge.noise.floor import noise_of_runs
 from softmap_edge.noise.memoryless import repeats_of
@@ -237,11 +238,11 @@ def _family(
     laws = [law for law in answer.tried if law.effects]
     best = min((law.left for law in laws), default=None)
     named = [answer.law] if answer.law is not None else []
-    others = () if answer.resolved else answer.equals
+    others = () if answer.identified else answer.equals
     effects = [e for law in (*named, *others) for e in law.effects]
-    law = "open" if answer.open else "unknown"
-    if answer.resolved and not any(set(one.effects) & set(effects) for one in changes):
-        law = "resolved"
+    law: Certainty = "open" if answer.open else "unknown"
+    if answer.identified and not any(set(one.effects) & set(effects) for one in changes):
+        law = "identified"
     return FamilyFinding(
         answer.family.name,
         answer.family.kind,
@@ -344,7 +345,7 @@ def _probability(
     )
     doubts += certificate is not None and certificate.refuted
     odds = rule.ODDS_BASE + rule.ODDS_DOUBT * doubts
-    if step is not None and not step.answer.resolved:
+    if step is not None and not step.answer.identified:
         # all fitting laws are equally likely, and so is an untried one
         odds += 1.0 + len(step.answer.reaching)
     return 1.0 / (1.0 + odds)
@@ -406,7 +407,7 @@ def _alternatives(
                 "here",
                 rest,
             )
-            if other.resolved and other.law is not None:
+            if other.identified and other.law is not None:
                 why, effects = _why(other.law.loss, step.answer.loss), [*rest, *other.law.effects]
             add(Alternative(tuple(effects), why, member, other.family.name))
     for step, family, why in _confounded(outcome, standing):

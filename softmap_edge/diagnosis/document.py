@@ -110,10 +110,9 @@ class Diagnosis:
                 f"not a diagnosis: schema is {schema!r}, {SCHEMA!r} is read; make it with "
                 "`softmap diagnose`"
             )
-        if schema == BEFORE:
-            document = dict(document) | {"alternatives": document.get("rivals", [])}
+        renewed = _in_present_words(document)
         found = read(
-            cls, {key: value for key, value in document.items() if key != "model"}, "diagnosis"
+            cls, {key: value for key, value in renewed.items() if key != "model"}, "diagnosis"
         )
         if found.verdict not in VERDICTS:
             raise ReportError(f"unknown verdict {found.verdict!r}; there are {', '.join(VERDICTS)}")
@@ -219,6 +218,25 @@ class Diagnosis:
         from softmap_edge.diagnosis.text import diagnosis_text
 
         return diagnosis_text(self.to_dict())
+
+
+def _in_present_words(document: Mapping[str, object]) -> Mapping[str, object]:
+    """Return a document of an earlier version with the words of this one.
+
+    Schema 1 has `rivals` in place of `alternatives`. An identified law was called `resolved`.
+    """
+    if document.get("schema") == BEFORE:
+        document = {**document, "alternatives": document.get("rivals", [])}
+    families = document.get("families")
+    if not isinstance(families, list):
+        return document
+    rows = [
+        {**row, "law": "identified"}
+        if isinstance(row, Mapping) and row.get("law") == "resolved"
+        else row
+        for row in families
+    ]
+    return {**document, "families": rows}
 
 
 def with_error(model: Model, entries: Sequence[Finding]) -> Model:

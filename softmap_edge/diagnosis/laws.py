@@ -75,7 +75,7 @@ class Law:
 class Answer:
     """The result of level 2 for a family.
 
-    `law` is the resolved law or a candidate. It is a candidate if the law is `open` because generic
+    `law` is the identified law or a candidate. It is a candidate if the law is `open` because generic
     laws fit as well, or if no law reaches but one explains most of the family's fall. Without a law
     the representative stays. `equals` are members that reach with as few parameters.
     """
@@ -90,8 +90,8 @@ class Answer:
     tried: tuple[Law, ...]
 
     @property
-    def resolved(self) -> bool:
-        """Whether one law of the library is resolved for the family."""
+    def identified(self) -> bool:
+        """Whether one law of the library is identified for the family."""
         return self.law is not None and not self.open and not self.rough
 
     @property
@@ -102,7 +102,7 @@ class Answer:
     @property
     def loss(self) -> Floats:
         """The held-out loss (folds,) of the family's law, else the least loss of the family."""
-        if self.resolved and self.law is not None:
+        if self.identified and self.law is not None:
             return self.law.loss
         return min((self.representative.loss, *(law.loss for law in self.reaching)), key=np.sum)
 

@@ -65,7 +65,8 @@ def strange(document: Document, loaded: bool = False) -> bool:
         and document["unexplained"]["chi2_per_n"] > MUCH
     )
     lawless = any(
-        family["name"] == "load" and family["law"] != "resolved" for family in document["families"]
+        family["name"] == "load" and family["law"] != "identified"
+        for family in document["families"]
     )
     return at_bound or left or poor or lawless or (loaded and document["verdict"] != "nothing")
 

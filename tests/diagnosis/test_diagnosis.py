@@ -249,7 +249,7 @@ def test_what_no_effect_explains_is_no_effect(name):
     rest = [e["name"] for e in _core.effects() if e["name"] != name]
     found = diagnose(builtin_model(), run, effects=rest)
     assert found.verdict in ("ambiguous", "partly_explained")
-    assert found.families[0].name == "static map" and found.families[0].law != "resolved"
+    assert found.families[0].name == "static map" and found.families[0].law != "identified"
     assert all(e.probability < 0.5 for e in found.effects)
     values = [found.error.before] + [step.value for step in found.error.ladder]
     assert values[-1] == min(values)

@@ -81,7 +81,7 @@ def test_static_effects_cannot_be_found_in_a_run_that_taught_the_model(same, mod
 
 def test_learned_statically_the_play_is_named_first_by_the_diagnosis(bent):
     (found,), (family,) = bent.effects, bent.families
-    assert found.name == "backlash" and (family.name, family.law) == ("memory", "resolved")
+    assert found.name == "backlash" and (family.name, family.law) == ("memory", "identified")
     assert bent.verdict == "identified" and bent.learned_in == ()
     assert bent.error.after < 0.4 * bent.error.before
     assert any(
