@@ -14,7 +14,7 @@ tests/diagnosis/test_diagnosis.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -33,14 +33,14 @@ from softmap_edge.diagnosis.conclusion import Context, conclude
 from softmap_edge.diagnosis.decision import ORDINARY, UNKNOWN_TIMES, VISIBLE_MM
 from softmap_edge.diagnosis.document import Diagnosis, with_error
 from softmap_edge.diagnosis.evidence import detectability, equivalents, unseen
-from softmap_edge.diagnosis.findings import Number, plain
+from softmap_edge.diagnosis.findings import plain
 from softmap_edge.diagnosis.fit import Fit, Problem
-from softmap_edge.diagnosis.fits import Fits, carried
-from softmap_edge.diagnosis.fitted import parameters
+from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.outcome import Outcome
 from softmap_edge.diagnosis.prepare import candidates_of, problem_of
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.records import record_of
+from softmap_edge.diagnosis.refit import refit, shared
 from softmap_edge.diagnosis.search import search
 from softmap_edge.diagnosis.servo_lag import servos
 from softmap_edge.diagnosis.taught import TaughtRuns, with_unknown
@@ -49,7 +49,6 @@ from softmap_edge.diagnosis.wrong_declarations import strange, wrong_load, wrong
 from softmap_edge.errors import SoftmapError
 from softmap_edge.files.atomic import Document
 from softmap_edge.model.effect_info import registry
-from softmap_edge.model.learned_in import LearnedNumber
 from softmap_edge.model.servo_calibration import converted
 from softmap_edge.model.training_range import BEYOND
 from softmap_edge.run.folds import withheld
@@ -65,8 +64,6 @@ NAMING = ("identified", "ambiguous", "partly_explained")  # verdicts that name w
 # fields of a diagnosis with names
 NAMED = ("alternatives", "effects", "faults", "families")
 UNSAID = 0.05  # share of frames that may lie outside the model's training range
-# fall of the held-out error by a refit above which the model's own parameters are in doubt
-OWN_FALL = 0.7
 # cosine of two whitened signatures above which their form does not distinguish them
 ALIKE = 0.95
 TWICE = (
@@ -162,7 +159,7 @@ def diagnose(
     values["sentence"] += _outside(record) + ("" if record.replay is None else f" {record.replay}.")
     if model.output is not None:  # how reports convert the model's mm to the output's unit
         values["made_from"] = {**values["made_from"], "output": model.output.to_dict()}
-    found = model.with_effects(fit.space.names, _shared(fit)) if fit.effects else model
+    found = model.with_effects(fit.space.names, shared(fit)) if fit.effects else model
     remarks += [] if record.replay is None else [TWICE]
     remarks += [str(teacher)] if teacher.runs else []
     values["next"] = (
@@ -210,66 +207,6 @@ def _apart(
             "the reference is the run itself, so nothing differs; give a recording of before the "
             "change"
         )
-
-
-def refit(model: Model, run: Run | Sequence[Run]) -> tuple[Model, Document]:
-    """Refit a model's own effects to a run, per channel if that is far better.
-
-    Returns:
-        tuple: the model with new parameters, and a document with parameters ± sigma and the error
-        before and after.
-
-    Raises:
-        SoftmapError: the model has no effects.
-    """
-    own = tuple(model.chain_names)
-    if not own:
-        raise SoftmapError(
-            "the model has no effects to refit; `softmap diagnose` finds out which it lacks"
-        )
-    record, _ = clean_record(model, run)
-    problem = problem_of(record, list(own))
-    space = problem.space(own, free=own)
-    now = space.scaled(record.own()[space.free])
-    before = problem.null()
-    fit = problem.fit(own, [now, space.start], free=own)
-    after = problem.held_out_mm(problem.fold_predictions(fit))
-    each = _for_each_channel(problem, fit)
-    if (apart := problem.held_out_mm(problem.fold_predictions(each))) <= OWN_FALL * after:
-        fit, after = each, apart
-    sigma = problem.uncertainty(fit, max(1.0, fit.chi2 / max(1.0, problem.numbers)))
-    numbers = parameters(record, fit, sigma, own)
-    document = {
-        "params": plain(numbers),
-        "before_rms_mm": record.rms_mm(record.seen - before.predicted),
-        "after_held_out_rms_mm": after,
-    }
-    return _relearned(model.with_effects(own, _shared(fit)), numbers), document
-
-
-def _for_each_channel(problem: Problem, fit: Fit) -> Fit:
-    """Return a fit of a model's own effects with one parameter per channel."""
-    space = problem.space(fit.effects, free=fit.effects, split=fit.effects)
-    if space.free_labels == fit.space.free_labels:
-        return fit
-    return problem.fit(fit.effects, [carried(fit, space)], free=fit.effects, split=fit.effects)
-
-
-def _relearned(model: Model, numbers: Mapping[str, Number]) -> Model:
-    """Update the parameters in a model's record of learned effects from a later fit."""
-    fresh = [
-        LearnedNumber(label, n.value, n.sigma or 0.0, n.unit, n.at_bound)
-        for label, n in numbers.items()
-    ]
-    records = [
-        replace(
-            one, params=tuple(n for n in fresh if n.label.split(".")[0] == one.name) or one.params
-        ).to_dict()
-        for one in model.learned_in
-    ]
-    return (
-        replace(model, made_from={**model.made_from, "learned_in": records}) if records else model
-    )
 
 
 def showing(model: Model, run: Run) -> list[Document]:
@@ -338,11 +275,6 @@ def _searched(
         record.remapped = False
         outcome = search(problem, candidates, progress)
     return problem, outcome
-
-
-def _shared(fit: Fit) -> dict[str, float]:
-    """Return a model's fitted parameters, without those of single later runs."""
-    return {label: value for label, value in fit.params.items() if "@" not in label}
 
 
 def _again(model: Model, runs: Sequence[Run], candidates: Sequence[str]) -> float:
@@ -432,12 +364,10 @@ def _own_misfit(record: Record) -> OwnMisfit | None:
     if not record.model.chain_names:
         return None
     report = refit(record.model, record.recorded_runs)[1]
-    before, after = report["before_rms_mm"], report["after_held_out_rms_mm"]
-    return (
-        OwnMisfit(tuple(record.model.chain_names), before, after)
-        if after <= OWN_FALL * before
-        else None
-    )
+    if not report.doubts_model:
+        return None
+    names = tuple(record.model.chain_names)
+    return OwnMisfit(names, report.before_rms_mm, report.after_held_out_rms_mm)
 
 
 def _error_on(fit: Fit, other: Record) -> float:
