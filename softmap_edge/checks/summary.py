@@ -1,8 +1,8 @@
 """Summarise the contents and gaps of a run, for `softmap check`.
 
 Dwells are those of `conditions`. A place is visited again when every channel is within 2 % of its
-range. Servo resolution is 10 times finer, so repeated commands always match and neighbours on a
-usual grid never do.
+range. Servo resolution is 10 times finer, so repeated commands match. Neighbours on a usual grid do
+not.
 """
 
 from __future__ import annotations

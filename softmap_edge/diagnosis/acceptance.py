@@ -91,8 +91,8 @@ def exceeds_model_error(family: Family, moved_mm: float, state: State) -> bool:
 
     It applies to a freely learned map.
 
-    Such a map contains every static effect of the training robot, so a new effect adds to the model
-    error. The test allows for the standard errors of this run and of the mean over the folds; the
+    Such a map contains every static effect of the training robot. A new effect adds to the model
+    error. The test allows for the standard errors of this run and of the mean over the folds. The
     run counts as that many folds. `state` is the state without the effect.
     """
     record = state.body.record

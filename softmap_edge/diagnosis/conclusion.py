@@ -16,6 +16,7 @@ from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.behind_residual import ResidualConfounds
 from softmap_edge.diagnosis.certificate import Certified
 from softmap_edge.diagnosis.changing import Change, changing
+from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.diagnosis.evidence import (
     by_condition,
     equivalents,
@@ -80,39 +81,26 @@ class Context:
     proof: Certified | None = None
 
 
-def conclude(outcome: Outcome, fit: Fit, context: Context) -> Document:
-    """Convert a finished search to the fields of a diagnosis.
+def conclude(outcome: Outcome, fit: Fit, context: Context) -> Diagnosis:
+    """Convert a finished search to a diagnosis without remarks, servos and model.
 
     Args:
         outcome: the search.
         fit: the accepted laws, after demotion.
         context: data from outside the search.
-
-    Returns:
-        dict: the fields of a `Diagnosis` except remarks, servos and model.
     """
-    fits, problem = outcome.fits, outcome.body.problem
-    record, known = problem.record, registry()
+    fits, known = outcome.fits, registry()
+    record = outcome.body.problem.record
     standing = [s for s in outcome.steps if not set(_named(s)) & set(context.demoted)]
     order = _order(fits, fit, known)
     alternatives = _alternatives(outcome, fit, standing, known, context)
-    residual = record.seen - fit.predicted - outcome.state.shift
-    if record.remapped:  # the re-solved map cancels part of each representative
-        ways = (residual, residual - outcome.state.ordinary, record.seen - fit.predicted)
-        residual = min(ways, key=record.rms_mm)
+    residual = _residual(outcome, fit)
     left = replace(
-        unexplained_structure(problem, residual, len(fit.x)),
+        unexplained_structure(outcome.body.problem, residual, len(fit.x)),
         ordinary_mm=_ordinary_mm(outcome) or None,
     )
-    behind = [] if context.masked is None else context.masked.untestable()
-    hidden = [*behind, *context.impossible]
-    hidden += [h for h in not_testable(fits, fit) if h.name not in {b.name for b in hidden}]
     dropped = outcome.steps if not standing and context.other is None else []  # all that was found
-    moving = problem.noise.moving
-    if moving and order:  # slow settling also moves at rest, until it is explained
-        moving = motion_left(
-            residual, record.seen, record.positions, record.t_seen, record.state
-        ).found
+    moving = _moving(outcome, residual, explained=bool(order))
     changes = [one for one in changing(outcome) if not set(one.effects) & set(context.demoted)]
     unknown = bool(moving or changes) or _unknown(
         outcome, fit, context.own, standing, bool(dropped)
@@ -128,34 +116,27 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> Document:
         replace(_family(outcome, s, None, ()), law="unknown", effects=()) for s in dropped
     )
     if unknown and not detected:
-        hints = _memoryless(record, residual)
-        if (near := outcome.hint) is not None:
-            share = 1.0 - near.left / max(float(outcome.null.sum()), 1e-300)
-            hints.append(
-                FamilyFinding(
-                    near.family.name, near.family.kind, "unknown", (), share, near.moved_mm
-                )
-            )
-        detected = tuple(sorted(hints, key=lambda one: -one.share)[:1])
-    changed = context.own is not None and context.own.after_mm <= error.after
+        detected = _hints(outcome, residual)
+    refit_first = context.own is not None and context.own.after_mm <= error.after
     doubts = [
+        *([str(context.own)] if context.own is not None and not refit_first else []),
         *at_bounds(findings),
         *record.doubts,
         *map(str, changes),
         *unconfirmed([*findings, *detected]),
     ]
-    if context.own is not None and not changed:
-        doubts.insert(0, str(context.own))
+    behind = [] if context.masked is None else context.masked.untestable()
+    hidden = [*behind, *context.impossible]
+    hidden += [h for h in not_testable(fits, fit) if h.name not in {b.name for b in hidden}]
     is_open = any(s.answer.open for s in standing)
-    unsure = _physical(alternatives, known)
     # A limit of the model is not a limit of the run.
     recordable, others = (
         sum(not h.of_model for h in every) for every in (hidden, context.impossible)
     )
     verdict = verdict_of(
-        physics or (faults if unsure or is_open else ()),
+        physics or (faults if _physical(alternatives, known) or is_open else ()),
         faults,
-        changed or bool(alternatives or doubts or is_open),
+        refit_first or bool(alternatives or doubts or is_open),
         unknown,
         bool(detected),
         recordable,
@@ -167,33 +148,76 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> Document:
     sentence = sentence_of(
         verdict, physics, faults, detected, alternatives, left, hidden, error, context.demoted, hint
     )
-    return {
-        "verdict": verdict,
-        "sentence": (
-            f"Refit first: {context.own}. The findings below may be due to it. " if changed else ""
-        )
-        + sentence
-        + "".join(f" But {doubt}." for doubt in doubts)
-        + "".join(f" Moreover, {motion}." for motion in moving)
-        + ("" if context.masked is None else f" {context.masked}."),
-        "effects": physics,
-        "faults": faults,
-        "families": _with_motion(detected, moving),
-        "alternatives": tuple(alternatives),
-        "not_testable": tuple(hidden),
-        "where": Where(
+    return Diagnosis(
+        verdict=verdict,
+        sentence=_with_doubts(sentence, context, refit_first, doubts, moving),
+        effects=physics,
+        faults=faults,
+        families=_with_motion(detected, moving),
+        alternatives=tuple(alternatives),
+        not_testable=tuple(hidden),
+        where=Where(
             by_condition(record, record.seen - fits.null.predicted), by_condition(record, residual)
         ),
-        "error": error,
-        "unexplained": left,
-        "next": (
+        error=error,
+        unexplained=left,
+        next=(
             *mended(faults),
             *refits(context.own),
             *(NextBlock(*one.experiment, one.effects) for one in changes),
             *next_blocks(alternatives, hidden, known, order, detected),
         ),
-        "made_from": _made_from(outcome, order, context, known),
-    }
+        made_from=_made_from(outcome, order, context, known),
+    )
+
+
+def _residual(outcome: Outcome, fit: Fit) -> Floats:
+    """Return the error (K, F) mm that the accepted laws leave."""
+    record = outcome.body.problem.record
+    residual = record.seen - fit.predicted - outcome.state.shift
+    if not record.remapped:
+        return residual
+    # the re-solved map cancels part of each representative
+    ways = (residual, residual - outcome.state.ordinary, record.seen - fit.predicted)
+    return min(ways, key=record.rms_mm)
+
+
+def _moving(outcome: Outcome, residual: Floats, explained: bool) -> Sequence[MotionAtRest]:
+    """Return the motion at rest; slow settling also moves at rest, until it is `explained`."""
+    problem = outcome.body.problem
+    record, moving = problem.record, problem.noise.moving
+    if not moving or not explained:
+        return moving
+    return motion_left(residual, record.seen, record.positions, record.t_seen, record.state).found
+
+
+def _hints(outcome: Outcome, residual: Floats) -> tuple[FamilyFinding, ...]:
+    """Return the nearest family of an unknown error that no family was detected for, if any."""
+    hints = _memoryless(outcome.body.problem.record, residual)
+    if (near := outcome.hint) is not None:
+        share = 1.0 - near.left / max(float(outcome.null.sum()), 1e-300)
+        hints.append(
+            FamilyFinding(near.family.name, near.family.kind, "unknown", (), share, near.moved_mm)
+        )
+    return tuple(sorted(hints, key=lambda one: -one.share)[:1])
+
+
+def _with_doubts(
+    sentence: str,
+    context: Context,
+    refit_first: bool,
+    doubts: Sequence[str],
+    moving: Sequence[MotionAtRest],
+) -> str:
+    """Return the sentence of a diagnosis with its doubts, and what must be done before."""
+    first = f"Refit first: {context.own}. The findings below may be due to it. "
+    return (
+        (first if refit_first else "")
+        + sentence
+        + "".join(f" But {doubt}." for doubt in doubts)
+        + "".join(f" Moreover, {motion}." for motion in moving)
+        + ("" if context.masked is None else f" {context.masked}.")
+    )
 
 
 def _named(step: Step) -> tuple[str, ...]:
@@ -211,7 +235,7 @@ def _unknown(
 ) -> bool:
     """Whether an unknown error remains.
 
-    It has no law and is not part of the named effects, or it far exceeds the model error.
+    It has no law and is not part of the named effects, or far exceeds the model error.
     """
     if own is not None and own.after_mm <= outcome.fits.held_out_mm(fit):
         return False  # other parameters of the model's own effects explain the unexplained error

@@ -33,7 +33,6 @@ from softmap_edge.diagnosis.conclusion import Context, conclude
 from softmap_edge.diagnosis.decision import ORDINARY, UNKNOWN_TIMES, VISIBLE_MM
 from softmap_edge.diagnosis.document import Diagnosis, with_error
 from softmap_edge.diagnosis.evidence import detectability, equivalents, unseen
-from softmap_edge.diagnosis.findings import plain
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.outcome import Outcome
@@ -61,8 +60,6 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 NAMING = ("identified", "ambiguous", "partly_explained")  # verdicts that name what is missing
-# fields of a diagnosis with names
-NAMED = ("alternatives", "effects", "faults", "families")
 UNSAID = 0.05  # share of frames that may lie outside the model's training range
 # cosine of two whitened signatures above which their form does not distinguish them
 ALIKE = 0.95
@@ -105,79 +102,99 @@ def diagnose(
     _apart(run, held_out, reference)
     record, remarks = clean_record(model, run, reference)
     candidates, impossible = candidates_of(record, effects)
-    fixed = excluded(
-        record.recorded_runs,
-        record.bases,
-        _reach(record),
-        max(VISIBLE_MM, ORDINARY * motion_mm(record)),
-    )
+    fixed = _fixed(record)
     candidates = [name for name in candidates if name not in fixed]
     remarks += [text for name, text in fixed.items() if effects is None or name in effects]
     teacher = TaughtRuns.by(model, as_runs(run))
     problem, outcome = _searched(record, candidates, progress, teacher)
     held = teacher.hidden(record, candidates)
-    candidates, impossible = (
-        [n for n in candidates if n not in {h.name for h in held}],
-        [*impossible, *held],
-    )
+    candidates = [n for n in candidates if n not in {h.name for h in held}]
     other = None if held_out is None else _validation(model, held_out, reference)
-    fit = outcome.fit
-    demoted: list[str] = []
-    if other is not None:
-        fit, demoted = _demote(outcome.fits, fit, lambda f: _error_on(f, other), 0.995)
-    else:  # model-form error can hide a static effect's error on unseen blocks; mm show it
-        fit, demoted = _demote(outcome.fits, fit, outcome.fits.held_out_mm, 1.0)
-        if demoted:  # search again for what it replaced
-            outcome = search(
-                problem, [name for name in candidates if name not in demoted], progress
-            )
-            fit, more = _demote(outcome.fits, outcome.fit, outcome.fits.held_out_mm, 1.0)
-            demoted += more
+    outcome, fit, demoted = _accepted(problem, outcome, candidates, other, progress)
     # wrong parameters of its own effects also cancel
     own = _own_misfit(record) if record.replay is None else None
     proof = certified(outcome, fit, withheld(record.t_seen, record.block, record.begins))
-    context = Context(other, demoted, impossible, own, masked(outcome.fits, fit), proof)
-    gone = None  # a static map follows its training runs as far as it can
-    if not record.remapped:
-        gone = commands_not_followed(
-            record, outcome.state.predicted if outcome.state.representatives else fit.predicted
-        )
-    values = conclude(outcome, fit, context)
-    if gone is None:
-        loaded = any(run.load is not None and np.any(run.load) for run in record.recorded_runs)
-        if strange(plain(values), loaded):
-            error, again = (
-                outcome.fits.held_out_mm(fit),
-                partial(_again, model, candidates=candidates),
-            )
-            gone = wrong_sign(record, error, again) or wrong_load(record, error, again)
-    if gone is not None:
-        fit, values = outcome.plain.null, _named_nothing(values, "measurement_fault", gone)
-    elif values["verdict"] in NAMING and (why := _extrapolated(record, outcome)) is not None:
-        fit, values = outcome.plain.null, _named_nothing(values, "cannot_tell", why)
-    values |= with_unknown(model, values, teacher)
-    values["sentence"] += _outside(record) + ("" if record.replay is None else f" {record.replay}.")
-    if model.output is not None:  # how reports convert the model's mm to the output's unit
-        values["made_from"] = {**values["made_from"], "output": model.output.to_dict()}
-    found = model.with_effects(fit.space.names, shared(fit)) if fit.effects else model
+    hidden = [*impossible, *held]
+    context = Context(other, demoted, hidden, own, masked(outcome.fits, fit), proof)
+    found = conclude(outcome, fit, context)
+    again = partial(_again, model, candidates=candidates)
+    if (fault := _measurement_fault(record, outcome, fit, found, again)) is not None:
+        fit, found = outcome.plain.null, _named_nothing(found, "measurement_fault", fault)
+    elif found.verdict in NAMING and (why := _extrapolated(record, outcome)) is not None:
+        fit, found = outcome.plain.null, _named_nothing(found, "cannot_tell", why)
+    found = with_unknown(model, found, teacher)
+    replay = "" if record.replay is None else f" {record.replay}."
+    # how reports convert the model's mm to the output's unit
+    output = {} if model.output is None else {"output": model.output.to_dict()}
+    relearn = teacher.next(found.effects) if record.remapped else []
+    runs = [converted(model, run) for run in record.recorded_runs]
     remarks += [] if record.replay is None else [TWICE]
     remarks += [str(teacher)] if teacher.runs else []
-    values["next"] = (
-        *(teacher.next(values["effects"]) if record.remapped else ()),
-        *values["next"],
-    )
-    converted_runs = [converted(model, run) for run in record.recorded_runs]
-    remarks += missing_data(converted_runs, len(record), problem.noise.measured)
-    encoded = [run for run in converted_runs if run.present is not None]
+    remarks += missing_data(runs, len(record), problem.noise.measured)
+    encoded = [run for run in runs if run.present is not None]
     behind = servos(encoded[0], [*candidates, *record.model.chain_names]) if encoded else []
-    found = with_error(found, values["effects"])
-    return Diagnosis(
-        **values,
+    better = model.with_effects(fit.space.names, shared(fit)) if fit.effects else model
+    return replace(
+        found,
+        sentence=found.sentence + _outside(record) + replay,
+        made_from=found.made_from | output,
+        next=(*relearn, *found.next),
         learned_in=model.learned_in,
         servo=tuple(behind),
         remarks=tuple(remarks),
-        model=found,
+        model=with_error(better, found.effects),
     )
+
+
+def _fixed(record: Record) -> dict[str, str]:
+    """Return the frame effects that base markers exclude, and why."""
+    least_mm = max(VISIBLE_MM, ORDINARY * motion_mm(record))
+    return excluded(record.recorded_runs, record.bases, _reach(record), least_mm)
+
+
+def _accepted(
+    problem: Problem,
+    outcome: Outcome,
+    candidates: Sequence[str],
+    other: Record | None,
+    progress: Callable[[str], None] | None,
+) -> tuple[Outcome, Fit, list[str]]:
+    """Drop effects that do not lower the error on an independent run, or on held-out blocks.
+
+    Returns:
+        tuple: the search, repeated if effects were dropped without an independent run; the fit of
+        the accepted effects; the names of the dropped ones.
+    """
+    if other is not None:
+        fit, demoted = _demote(outcome.fits, outcome.fit, lambda f: _error_on(f, other), 0.995)
+        return outcome, fit, demoted
+    # model-form error can hide a static effect's error on unseen blocks; mm show it
+    fit, demoted = _demote(outcome.fits, outcome.fit, outcome.fits.held_out_mm, 1.0)
+    if not demoted:
+        return outcome, fit, demoted
+    # search again for what it replaced
+    outcome = search(problem, [name for name in candidates if name not in demoted], progress)
+    fit, more = _demote(outcome.fits, outcome.fit, outcome.fits.held_out_mm, 1.0)
+    return outcome, fit, [*demoted, *more]
+
+
+def _measurement_fault(
+    record: Record,
+    outcome: Outcome,
+    fit: Fit,
+    found: Diagnosis,
+    again: Callable[[Sequence[Run]], float],
+) -> str | None:
+    """Report commands that are not followed, and gravity or a load that is declared wrongly."""
+    if not record.remapped:  # a static map follows its training runs as far as it can
+        predicted = outcome.state.predicted if outcome.state.representatives else fit.predicted
+        if (gone := commands_not_followed(record, predicted)) is not None:
+            return gone
+    loaded = any(run.load is not None and np.any(run.load) for run in record.recorded_runs)
+    if not strange(found, loaded):
+        return None
+    error = outcome.fits.held_out_mm(fit)
+    return wrong_sign(record, error, again) or wrong_load(record, error, again)
 
 
 def _reach(record: Record) -> float:
@@ -258,7 +275,7 @@ def _searched(
 ) -> tuple[Problem, Outcome]:
     """Search a record for the effects that its model lacks.
 
-    The learned part of a residual is an effect if laws of the library explain it; otherwise it may
+    The learned part of a residual is an effect if laws of the library explain it. Otherwise it may
     be model error. A map learned with --static is solved again if a memory law then explains the
     run.
     """
@@ -298,11 +315,17 @@ def _validation(model: Model, held_out: Run, reference: Run | Sequence[Run] | No
         ) from None
 
 
-def _named_nothing(values: Document, verdict: str, why: str) -> Document:
+def _named_nothing(found: Diagnosis, verdict: str, why: str) -> Diagnosis:
     """Return a diagnosis without named effects, for a reason outside the search."""
-    error = replace(values["error"], ladder=(), with_static_residual=None)
-    return {**values, "verdict": verdict, "sentence": why, "error": error} | dict.fromkeys(
-        NAMED, ()
+    return replace(
+        found,
+        verdict=verdict,
+        sentence=why,
+        alternatives=(),
+        effects=(),
+        faults=(),
+        families=(),
+        error=replace(found.error, ladder=(), with_static_residual=None),
     )
 
 

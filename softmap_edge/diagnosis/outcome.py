@@ -1,7 +1,8 @@
 """The state of a search: the families taken, their joint fit, and representatives.
 
-An identified law joins the fit. A family without a law keeps its representative, whose contribution is
-subtracted from the measurement before the next fit. Pinned by tests/diagnosis/test_two_levels.py.
+An identified law joins the fit. A family without a law keeps its representative. Its contribution
+is subtracted from the measurement before the next fit. Pinned by
+tests/diagnosis/test_two_levels.py.
 """
 
 from __future__ import annotations

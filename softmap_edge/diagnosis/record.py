@@ -65,7 +65,7 @@ class Record:
     ) -> None:
         """Bind a model to a run.
 
-        With a `reference` of the same commands (one of several), the model error on it is
+        A `reference` has the same commands; several may be given. The model error on it is
         subtracted from the measurement.
         """
         adapted = model.residual is not None

@@ -1,7 +1,7 @@
 """Fit laws of different families at once if the stepwise search leaves one open.
 
-The laws replace the stepwise result only if they leave far less, or no more with more families
-identified. Pinned by tests/diagnosis/test_two_levels.py.
+The laws replace the stepwise result if they leave far less. They also do if they leave no more, and
+more families are identified. Pinned by tests/diagnosis/test_two_levels.py.
 """
 
 from __future__ import annotations
@@ -364,8 +364,8 @@ def _few_laws(outcome: Outcome) -> Iterator[Law]:
 def _best_singles(null: State, fits: Fits, before: Floats) -> dict[Family, Law]:
     """Return families with their best laws, by loss, best first.
 
-    Families are searched in the order of their fall, until a law would have to explain far more
-    than its family. Another law of the family may replace it in the end.
+    Families are searched in the order of their fall. The search ends where a law would have to
+    explain far more than its family. Another law of the family may replace it in the end.
     """
     total = float(before.sum())
     laws: list[Law] = []

@@ -4,7 +4,7 @@ The bending angles of its chords are a polynomial of the commands.
 
     v (rad) ≈ polynomial(q),   length (mm) ≈ quadratic(v),   q = (u_eff − centre)/scale
 
-If a command pulls one cable above 0 and another below, v may be a polynomial of max(q, 0) and
+A command may pull one cable above 0 and another below. v may then be a polynomial of max(q, 0) and
 max(−q, 0): a cable that becomes slack causes a kink there. Weights are found by ridge regression;
 penalty: n · ridge · RIDGE[degree of the monomial] on all weights but the intercept, n frames. Basis
 and ridge are those with the lowest cross-validation error (`regression.py`). Known limit: one
@@ -59,8 +59,8 @@ def fit_polynomial(
     """
     parts, _ = covered_folds(seen, Basis(1), blocks, gap_s)
     bases = _bases(seen, min(len(train) for train, _ in parts), degree)
-    # Coverage uses the terms of the richest polynomial; for one command, or for many, squares,
-    # because no log covers all terms.
+    # Coverage uses the terms of the richest polynomial. For one command, or for many, it uses
+    # squares, because no log covers all terms.
     richest = (
         [b for b in bases if not b.intervals][-1]
         if 1 < seen.drive.channels <= FEW_CHANNELS
@@ -177,7 +177,7 @@ def _plane(fit: Regression) -> Floats:
 def _base(base: ArrayLike | None, markers: Floats) -> Floats:
     """Return the first chord's start: a given point, the origin, or far below an output.
 
-    Markers of constant height are outputs and do not bend: from far below, a chord's angle is
+    Markers of constant height are outputs and do not bend. From far below, a chord's angle is
     linear in them.
     """
     if base is None:

@@ -3,8 +3,8 @@
     minimise over x:  Σ |seen − map solved at v(x)|²,   v(x) = rollout of the chain
 
 Play is not smooth. So a scan of the held-out loss over the complete range comes first. Then a
-bounded Levenberg-Marquardt refines the best few sets. σ is the larger of two: that of the
-linearised fit, and that of the jackknife over the folds. Pinned by tests/rod/test_learned_memory.py.
+bounded Levenberg-Marquardt refines the best few sets. σ is the larger of two: of the linearised
+fit, and of the jackknife over the folds. Pinned by tests/rod/test_learned_memory.py.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Confirm new effects of a memory: their loss must not fall by chance, nor by a bad map.
 
 First, their numbers are fitted again without each fold. Then they read the run backward. A memory
-depends on the past alone: a law that fits as well on the future only bends the static map. Pinned
+depends on the past alone. A law that fits as well on the future only bends the static map. Pinned
 by tests/rod/test_learned_memory.py.
 """
 
@@ -26,7 +26,7 @@ PAST = 0.3
 
 
 def unconfirmed(progress: Progress, step: Step) -> str:
-    """Return why the fall of the loss by a step may be chance or a bad map, or ''."""
+    """Return why a step may lower the loss by chance or by a bad map, or ''."""
     evidence = progress.data.evidence
     refitted = progress.data.fit.refitted_losses(step.fitted)
     if not progress.falls(refitted):

@@ -1,9 +1,8 @@
 """A chain of effects with free numbers, each scaled to 0 … 1 over its range.
 
-The scale is logarithmic if the range is positive. Ranges declared in mm are those of a drive of
-±16 mm, and scale with the drive. The registry also declares how far an effect may go while a static
-map is fitted as well (`map_half_ranges`, `map_high`). Pinned by tests/rod/test_free_chain.py and
-tests/rod/test_learned_memory.py.
+The scale is logarithmic if the range is positive. Ranges declared in mm are those of a drive of ±16
+mm, and scale with the drive. The registry declares how far a number may go while a static map is
+fitted as well. Pinned by tests/rod/test_free_chain.py and tests/rod/test_learned_memory.py.
 """
 
 from __future__ import annotations

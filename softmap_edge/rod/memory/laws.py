@@ -32,8 +32,8 @@ def falling_effects(progress: Progress, falling: Sequence[FittedFamily]) -> list
 def _fitted_effects(progress: Progress, falling: Sequence[FittedFamily]) -> list[FittedEffect]:
     """Return the fitted effects of all families that fall, behind the steps before.
 
-    The signals of one channel at a time may explain less than a law behind a map of many
-    channels. So the members of all these families are fitted, not only those of the nearest.
+    A law behind a map of many channels may explain more than the signals of single channels. So the
+    members of all these families are fitted, not only those of the nearest.
     """
     there, fit = progress.names, progress.data.fit
     alike = [

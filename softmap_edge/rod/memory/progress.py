@@ -1,4 +1,4 @@
-"""The state of a search for a memory: its data, the steps so far, and the loss they leave.
+"""The state of a search for a memory: its data, its steps, and the loss they leave.
 
 Pinned by tests/rod/test_learned_memory.py.
 """

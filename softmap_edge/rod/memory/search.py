@@ -1,15 +1,15 @@
 """Search for the memory of a robot together with its static map.
 
-Level 1 (`families.py`) finds the families that lower the held-out loss, level 2 (`laws.py`) fits
+Level 1 (`families.py`) finds the families that lower the held-out loss. Level 2 (`laws.py`) fits
 their members with the static map solved again. A law *reaches* if it fits as well as the best of
-all, families included. Of the laws that reach, the one with the fewest numbers is chosen; the others
-are its alternatives. Numbers for each channel count as one.
+all, families included. Of the laws that reach, the one with the fewest numbers is chosen; the
+others are its alternatives. Numbers for each channel count as one.
 
-A law is open if its family, or a second law of it, explains a good part of the remaining loss. It is
-also open if all laws leave a good part of the first loss: a bad map and a wrong law look alike. An
-open law would replace another cause in three cases, and is then only reported. It is weak; it
-explains only part of its family's fall; or a family without laws is near. A law that is not
-confirmed (`confirm.py`) is only reported as well.
+A law is open if its family, or a second law of it, explains much of the remaining loss. It is also
+open if all laws leave much of the first loss. A bad map and a wrong law then look alike. An open
+law would replace another cause in three cases, and is then only reported. It is weak; it explains
+only part of its family's fall; or a family without laws is near. A law that is not confirmed
+(`confirm.py`) is only reported as well.
 
 The law joins the chain, its effective commands replace the commands, and the families are tried
 again. A law that is not identified may stand in for two, so `pairs.py` tries two together.
@@ -111,7 +111,7 @@ class _Search:
     def _better_map(
         self, progress: Progress, falling: Sequence[FittedFamily], good: Sequence[FittedEffect]
     ) -> StaticMap | None:
-        """Return a form of the map that lowers the loss of the best family or law, if any does.
+        """Return a form of the map that lowers the loss of the best family or law, or None.
 
         As long as the memory is missing, its error hides that of the form of the map. A wrong law
         then fits best if it bends the map as well.
