@@ -42,8 +42,8 @@ AGAINST = 9.0  # of the objective over the over-dispersion: three standard devia
 class ResidualConfounds:
     """What a removed residual may contain.
 
-    It holds its size on the run before and after the effects found, and the run's error with and
-    without it. It also holds the effects that it may contain (share), and the part that may be
+    It holds its size on the run before and after the effects found. It holds the run's error with
+    and without it. It also holds the effects that it may contain (share), and the part that may be
     model error.
     """
 

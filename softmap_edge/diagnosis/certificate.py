@@ -10,7 +10,7 @@ the search estimates. φ is the dispersion of the other frames, at least 1 excep
 
 The split accounts for noise, but a model error is the same in all blocks. For any k fitted
 parameters, 2 ln LR is at most chi²(k) under the null. There, E exp(T chi²(k) / 2) = (1 - T)^(-k/2).
-So T and the last term keep e an e-value even for a claim that was fitted to this error.
+So T and the last term keep e an e-value even if the claim was fitted to this error.
 
 The search uses all frames, so its choice needs a multiplicity correction. Every set of r claims
 among N candidates, and each of its members, is a hypothesis. It has an e-value, zero if it was not

@@ -31,7 +31,7 @@ VISIBLE_MM = 0.12  # least effect size, mm RMS of the centreline
 ORDINARY = 0.04  # of the motion (RMS): upper limit of ordinary imperfections
 # Least ratio to the rest. It applies to a static effect, against ordinary imperfections or the
 # model error of a learned map. It also applies to a free static shape that is taken before other
-# families, and to a law that is still searched after three families.
+# families. The same holds for a law that is searched after three families.
 DOMINATES = 2.0
 # standard errors of a learned map's model error that a new static effect must also exceed
 SCATTER = 2.0
@@ -47,7 +47,7 @@ MISWIRED = 0.2  # of the motion: least model error for testing exchanged servos
 # same form that explains less of a member is no alternative.
 STANDS_FOR = 0.6
 ODDS_BASE = 0.03  # odds against any named effect
-# the same for each alternative, each parameter at its bound, and an unknown effect alongside
+# the same for each alternative, each parameter at its bound, and an unknown effect
 ODDS_DOUBT = 0.5
 
 

@@ -12,7 +12,6 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -36,10 +35,8 @@ from softmap_edge.files.atomic import Document, read_document
 from softmap_edge.model.chain_labels import readings, valued
 from softmap_edge.model.learned_in import LearnedIn
 from softmap_edge.model.manifest import LARGEST
+from softmap_edge.model.model import Model
 from softmap_edge.model.parameter_layout import ranges_of
-
-if TYPE_CHECKING:
-    from softmap_edge.model.model import Model
 
 SCHEMA, BEFORE = "softmap.diagnosis/2", "softmap.diagnosis/1"
 VERDICTS = {
@@ -86,8 +83,8 @@ class Diagnosis:
     # effects that were present while the model was learned
     learned_in: tuple[LearnedIn, ...] = ()
     remarks: tuple[str, ...] = ()  # on the run itself: excluded data, and what it cannot show
-    # a Model; never None from `diagnose`
-    model: Any = field(default=None, repr=False)
+    # never None from `diagnose`
+    model: Model | None = field(default=None, repr=False)
 
     def to_dict(self) -> Document:
         """Return the document softmap.diagnosis/2."""

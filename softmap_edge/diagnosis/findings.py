@@ -125,10 +125,10 @@ class Alternative:
 class FamilyFinding:
     """A family of effects that was detected.
 
-    `law` is "identified" (`effects` name it), "open" (`effects` and `generic` list laws that fit
-    equally well) or "unknown" (no known law explains as much as the family; `effects` holds the one
-    that explains most of it, if any). `share` is its share of the explained loss; `law_share` is
-    the part of that share that the best known law explains.
+    `law` is "identified" (`effects` name it), "open" or "unknown". If it is open, `effects` and
+    `generic` list laws that fit equally well. If it is unknown, no known law explains as much as
+    the family; `effects` holds the one that explains most of it, if any. `share` is its share of
+    the explained loss; `law_share` is the part of that share that the best known law explains.
     """
 
     name: str

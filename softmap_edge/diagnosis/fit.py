@@ -38,7 +38,7 @@ DAMPING = 1e-3  # of a Gauss-Newton step, of the curvature
 # factors tried with new slopes; the second group if none of the first is better
 DAMPINGS = ((1.0,), (0.05, 20.0, 400.0), (8e3, 1.6e5))
 SECANTS = 3  # least number of parameters for secant updates
-# of the predicted fall: a step with less, or with twice as much, needs new slopes
+# of the predicted fall: below it, or above twice of it, a step needs new slopes
 LINEAR = 0.5
 
 

@@ -43,8 +43,8 @@ def strange(found: Diagnosis, loaded: bool = False) -> bool:
     """Return whether gravity is implausible in a diagnosis; runs may declare a load or not.
 
     It is implausible if its parameters end at their bounds. It is so if the unexplained error
-    depends on the orientation, or if a dead load leaves most of the error. It is also so if a load
-    has no law of the library, or if a run that declares a load shows any effect.
+    depends on the orientation. It is so if a dead load leaves most of the error, or has no law of
+    the library. It is also so if a run that declares a load shows any effect.
     """
     at_bound = any(
         entry.name == "gravity" and any(p.at_bound for p in entry.params.values())

@@ -7,10 +7,10 @@ Several starts are used.
 
 Slopes are exact (rust/rod/elastic_slopes.rs). Held-out error: each fold is predicted by a refit
 without it. A fold is a part of the run's `block` labels, else a block of time. Labels are dealt in
-turn, so no fold holds all moves of one kind. The uncertainty is the larger of two: that of the
-linearised fit, and the spread of those refits (jackknife). The first takes frames as independent,
-but neighbouring frames share the model-form error. A parameter is *not identified* by the run if it
-is less certain than a guess (`Kind.doubt`). If it is correlated with another (`TRADED`), a tenth of
+turn, so no fold holds all moves of one kind. The uncertainty is the larger of two: of the
+linearised fit, and of those refits (jackknife). The first takes frames as independent, but
+neighbouring frames share the model-form error. A parameter is *not identified* by the run if it is
+less certain than a guess (`Kind.doubt`). If it is correlated with another (`TRADED`), a tenth of
 that is the limit. tests/rod/test_elastic.py pins exact recovery, the folds, and the identified
 parameters.
 """

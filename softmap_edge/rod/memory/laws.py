@@ -19,7 +19,7 @@ from softmap_edge.rod.regression import standard_error
 
 EACH = 0.05  # of the loss: least gain from a number per channel over a shared one
 EACH_TRIED = 3  # best laws with shared numbers that are tried with a number per channel
-# of a law's remainder above the noise: a second law of its family with less is model-form error
+# of a law's remainder above the noise: a second law with less is model-form error
 PAIR = 0.8
 
 

@@ -51,7 +51,7 @@ from softmap_edge.rod.static_map import StaticMap
 Floats = NDArray[np.float64]
 
 FRAMES = 1500  # frames of a search; neighbouring frames are redundant
-# of the best family's fall: a law that does not reach must explain more, or it replaces another
+# of the best family's fall: a law that does not reach must explain more
 PART = 0.6
 MOST_STEPS = 3
 SHORT = 2  # nearest effects that are named if none reaches
