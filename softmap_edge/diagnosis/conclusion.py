@@ -81,6 +81,33 @@ class Context:
     proof: Certified | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class _Claims:
+    """What a search claims.
+
+    Attributes:
+        order: the named effects, faults first, then by explained error.
+        findings: their findings, in this order.
+        families: the detected families.
+        alternatives: what cannot be excluded.
+        error: the error ladder.
+        residual: the remaining error (K, F) mm.
+        moving: the motion at rest.
+        changes: laws whose parameters change with a condition.
+        unknown: whether an unknown error remains.
+    """
+
+    order: list[str]
+    findings: list[Finding]
+    families: tuple[FamilyFinding, ...]
+    alternatives: list[Alternative]
+    error: ErrorLadder
+    residual: Floats
+    moving: Sequence[MotionAtRest]
+    changes: list[Change]
+    unknown: bool
+
+
 def conclude(outcome: Outcome, fit: Fit, context: Context) -> Diagnosis:
     """Convert a finished search to a diagnosis without remarks, servos and model.
 
@@ -89,41 +116,23 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> Diagnosis:
         fit: the accepted laws, after demotion.
         context: data from outside the search.
     """
-    fits, known = outcome.fits, registry()
+    fits, known, own = outcome.fits, registry(), context.own
     record = outcome.body.problem.record
     standing = [s for s in outcome.steps if not set(_named(s)) & set(context.demoted)]
-    order = _order(fits, fit, known)
-    alternatives = _alternatives(outcome, fit, standing, known, context)
-    residual = _residual(outcome, fit)
+    claims = _claims(outcome, fit, context, standing, known)
     left = replace(
-        unexplained_structure(outcome.body.problem, residual, len(fit.x)),
+        unexplained_structure(outcome.body.problem, claims.residual, len(fit.x)),
         ordinary_mm=_ordinary_mm(outcome) or None,
     )
-    dropped = outcome.steps if not standing and context.other is None else []  # all that was found
-    moving = _moving(outcome, residual, explained=bool(order))
-    changes = [one for one in changing(outcome) if not set(one.effects) & set(context.demoted)]
-    unknown = bool(moving or changes) or _unknown(
-        outcome, fit, context.own, standing, bool(dropped)
-    )
-    findings = [
-        _finding(outcome, fit, name, context, alternatives, unknown, known) for name in order
-    ]
-    faults = tuple(f for f in findings if known[f.name].is_fault)
-    physics = tuple(f for f in findings if not known[f.name].is_fault)
-    error = _error(outcome, order, context.other)
-    detected = tuple(_family(outcome, s, context.proof, changes) for s in standing)
-    detected += tuple(
-        replace(_family(outcome, s, None, ()), law="unknown", effects=()) for s in dropped
-    )
-    if unknown and not detected:
-        detected = _hints(outcome, residual)
-    refit_first = context.own is not None and context.own.after_mm <= error.after
+    faults = tuple(f for f in claims.findings if known[f.name].is_fault)
+    physics = tuple(f for f in claims.findings if not known[f.name].is_fault)
+    refit_first = own is not None and own.after_mm <= claims.error.after
     doubts = [
-        *([str(context.own)] if context.own is not None and not refit_first else []),
-        *at_bounds(findings),
+        *([str(own)] if own is not None and not refit_first else []),
+        *at_bounds(claims.findings),
         *record.doubts,
-        *map(str, changes),
-        *unconfirmed([*findings, *detected]),
+        *map(str, claims.changes),
+        *unconfirmed([*claims.findings, *claims.families]),
     ]
     behind = [] if context.masked is None else context.masked.untestable()
     hidden = [*behind, *context.impossible]
@@ -134,40 +143,77 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> Diagnosis:
         sum(not h.of_model for h in every) for every in (hidden, context.impossible)
     )
     verdict = verdict_of(
-        physics or (faults if _physical(alternatives, known) or is_open else ()),
+        physics or (faults if _physical(claims.alternatives, known) or is_open else ()),
         faults,
-        refit_first or bool(alternatives or doubts or is_open),
-        unknown,
-        bool(detected),
+        refit_first or bool(claims.alternatives or doubts or is_open),
+        claims.unknown,
+        bool(claims.families),
         recordable,
         len(fits.candidates) + others,
     )
     if verdict == "nothing" and behind:
         verdict, hidden = "cannot_tell", behind
-    hint = outcome.hint.family.name if outcome.hint is not None else ""
     sentence = sentence_of(
-        verdict, physics, faults, detected, alternatives, left, hidden, error, context.demoted, hint
+        verdict,
+        physics,
+        faults,
+        claims.families,
+        claims.alternatives,
+        left,
+        hidden,
+        claims.error,
+        context.demoted,
+        "" if outcome.hint is None else outcome.hint.family.name,
     )
     return Diagnosis(
         verdict=verdict,
-        sentence=_with_doubts(sentence, context, refit_first, doubts, moving),
+        sentence=_with_doubts(sentence, context, refit_first, doubts, claims.moving),
         effects=physics,
         faults=faults,
-        families=_with_motion(detected, moving),
-        alternatives=tuple(alternatives),
+        families=_with_motion(claims.families, claims.moving),
+        alternatives=tuple(claims.alternatives),
         not_testable=tuple(hidden),
         where=Where(
-            by_condition(record, record.seen - fits.null.predicted), by_condition(record, residual)
+            by_condition(record, record.seen - fits.null.predicted),
+            by_condition(record, claims.residual),
         ),
-        error=error,
+        error=claims.error,
         unexplained=left,
         next=(
             *mended(faults),
-            *refits(context.own),
-            *(NextBlock(*one.experiment, one.effects) for one in changes),
-            *next_blocks(alternatives, hidden, known, order, detected),
+            *refits(own),
+            *(NextBlock(*one.experiment, one.effects) for one in claims.changes),
+            *next_blocks(claims.alternatives, hidden, known, claims.order, claims.families),
         ),
-        made_from=_made_from(outcome, order, context, known),
+        made_from=_made_from(outcome, claims.order, context, known),
+    )
+
+
+def _claims(
+    outcome: Outcome, fit: Fit, context: Context, standing: Sequence[Step], known: Registry
+) -> _Claims:
+    """Return what a search claims; `standing` are its steps after demotion."""
+    order = _order(outcome.fits, fit, known)
+    alternatives = _alternatives(outcome, fit, standing, known, context)
+    residual = _residual(outcome, fit)
+    dropped = outcome.steps if not standing and context.other is None else []  # all that was found
+    moving = _moving(outcome, residual, explained=bool(order))
+    changes = [one for one in changing(outcome) if not set(one.effects) & set(context.demoted)]
+    unknown = bool(moving or changes) or _unknown(
+        outcome, fit, context.own, standing, bool(dropped)
+    )
+    findings = [
+        _finding(outcome, fit, name, context, alternatives, unknown, known) for name in order
+    ]
+    families = tuple(_family(outcome, s, context.proof, changes) for s in standing)
+    families += tuple(
+        replace(_family(outcome, s, None, ()), law="unknown", effects=()) for s in dropped
+    )
+    if unknown and not families:
+        families = _hints(outcome, residual)
+    error = _error(outcome, order, context.other)
+    return _Claims(
+        order, findings, families, alternatives, error, residual, moving, changes, unknown
     )
 
 

@@ -190,7 +190,7 @@ class Record:
 
     def missing(self, required: Sequence[str]) -> list[str]:
         """Return the fields that an effect needs and the run does not declare."""
-        return [name for name in required if getattr(self.run, name, None) is None]
+        return [name for name in required if getattr(self.run, name) is None]
 
     # --- predictions ----------------------------------------------------------------------------
 

@@ -28,9 +28,10 @@ from softmap_edge.model.basis import Basis
 from softmap_edge.model.elastic_rod import Coordinates, ElasticRodArrays
 from softmap_edge.rod.covered_folds import search_folds
 from softmap_edge.rod.descent import Term, descend
+from softmap_edge.rod.fitted import Fitted, FittedNumber
 from softmap_edge.rod.memory.memory import Memory
 from softmap_edge.rod.memory.search import FRAMES, find_memory
-from softmap_edge.rod.reference_run import Fitted, FittedNumber, ReferenceFrames
+from softmap_edge.rod.reference_run import ReferenceFrames
 from softmap_edge.rod.static_map import StaticMap
 from softmap_edge.run.folds import Folds
 

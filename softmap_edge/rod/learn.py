@@ -34,8 +34,9 @@ from softmap_edge.model.servo_calibration import from_home
 from softmap_edge.model.shapes import BundleArrays, PriorArrays
 from softmap_edge.model.structure import Structure
 from softmap_edge.rod.elastic_fit import fit_elastic, fit_for
+from softmap_edge.rod.fitted import Fitted, FittedNumber
 from softmap_edge.rod.polynomial import fit_polynomial
-from softmap_edge.rod.reference_run import Fitted, FittedNumber, ReferenceFrames, observe
+from softmap_edge.rod.reference_run import ReferenceFrames, observe
 from softmap_edge.rod.regression import rms
 from softmap_edge.run.folds import folds
 from softmap_edge.run.pieces import spans

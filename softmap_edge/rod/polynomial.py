@@ -22,15 +22,15 @@ from softmap_edge.model.basis import SPLINE_DEGREE, SQUARES, Basis
 from softmap_edge.model.model import TIP_PER_NEWTON
 from softmap_edge.model.polynomial_rod import PolynomialRodArrays
 from softmap_edge.rod.covered_folds import covered_folds, search_folds
+from softmap_edge.rod.fitted import Fitted
 from softmap_edge.rod.memory.families import FEW_CHANNELS
 from softmap_edge.rod.memory.memory import Memory
 from softmap_edge.rod.memory.record import refined_memory
 from softmap_edge.rod.memory.search import FRAMES, find_memory
-from softmap_edge.rod.reference_run import Fitted, ReferenceFrames
+from softmap_edge.rod.reference_run import ReferenceFrames
 from softmap_edge.rod.regression import RIDGE_STEPS, Regression, choose_basis
 from softmap_edge.rod.static_map import StaticMap
 from softmap_edge.run.fields import unmasked
-from softmap_edge.run.folds import Folds
 
 Floats = NDArray[np.float64]
 
@@ -68,13 +68,7 @@ def fit_polynomial(
     )
     parts, gap_s = covered_folds(seen, richest, blocks, gap_s)
     fit = Regression(seen.markers, _base(base, seen.markers), parts)
-    memory = Memory()
-    if not static:
-        step = -(-len(seen.t) // FRAMES)
-        thinned = seen.every(step)
-        memory = _memory(
-            thinned, search_folds(thinned, richest), fit, seen.drive.commanded, bases, seed
-        )
+    memory = Memory() if static else _memory(seen, richest, fit, bases, seed)
     u = memory.acting(seen.drive)
     ridges = RIDGE_STEPS if seen.drive.channels > 1 else RIDGE_STEPS[:1]
     chosen, ridge = choose_basis(fit, u, bases, ridges)
@@ -136,18 +130,15 @@ def _bases(seen: ReferenceFrames, smallest: int, degree: int | None) -> tuple[Ba
 
 
 def _memory(
-    thinned: ReferenceFrames,
-    parts: Folds,
-    fit: Regression,
-    commanded: Floats,
-    bases: tuple[Basis, ...],
-    seed: int,
+    seen: ReferenceFrames, richest: Basis, fit: Regression, bases: tuple[Basis, ...], seed: int
 ) -> Memory:
     """Find the memory with the map of the commands alone, or with a richer form if that shows.
 
     Polynomials have the highest degree for few channels.
     """
-    chosen, ridge = choose_basis(fit, commanded, bases)
+    chosen, ridge = choose_basis(fit, seen.drive.commanded, bases)
+    thinned = seen.every(-(-len(seen.t) // FRAMES))
+    parts = search_folds(thinned, richest)
     plane = _plane(Regression(thinned.markers, fit.base, parts))
     most = max(chosen.degree, CUBIC if thinned.drive.channels <= FEW_CHANNELS else 1)
     forms = [
