@@ -98,9 +98,7 @@ def alternatives_of(
         for twin, why in _twins(outcome.fits, fit, member, known, impossible):
             add(Alternative(tuple(twin if e == member else e for e in fit.effects), why, member))
     if own is not None and fit.effects:
-        found.insert(
-            0, Alternative(tuple(own.names), str(own), next(iter(fit.effects)))
-        )
+        found.insert(0, Alternative(tuple(own.names), str(own), next(iter(fit.effects))))
     return found
 
 
