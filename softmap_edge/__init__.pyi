@@ -7,8 +7,8 @@ from softmap_edge.comparison.comparison import Comparison as Comparison
 from softmap_edge.comparison.comparison import compare as compare
 from softmap_edge.comparison.series import series as series
 from softmap_edge.diagnosis.diagnose import diagnose as diagnose
-from softmap_edge.diagnosis.diagnose import refit as refit
 from softmap_edge.diagnosis.document import Diagnosis as Diagnosis
+from softmap_edge.diagnosis.refit import refit as refit
 from softmap_edge.errors import SoftmapError as SoftmapError
 from softmap_edge.experiment.choose import Experiment as Experiment
 from softmap_edge.experiment.choose import next_experiment as next_experiment

@@ -9,6 +9,9 @@
 use super::conditions::Context;
 use super::declaration::*;
 
+/// Half ranges of the commands: a wider gap would never transmit motion.
+const MOST_PLAY: f64 = 1.95;
+
 pub static EFFECT: Effect = Effect {
     declaration: Declaration {
         name: "backlash",
@@ -36,7 +39,8 @@ pub static EFFECT: Effect = Effect {
             "full free play (half-width = gap/2)",
         )
         .shared()
-        .reaching(Reach::HalfRanges(2.0))],
+        .reaching(Reach::HalfRanges(2.0))
+        .with_map(WithMap::HalfRanges(MOST_PLAY))],
     },
     law: Law::Channel(&Backlash),
 };

@@ -62,6 +62,8 @@ pub struct Parameter {
     pub instant: bool,
     /// How far beyond `high` a fit may go if the data require it.
     pub reach: Reach,
+    /// The upper end of the search while a static map of the commands is fitted as well.
+    pub with_map: WithMap,
     /// For an integer that counts channels: the highest meaningful value.
     pub most: Option<fn(usize) -> usize>,
     /// For an integer that encodes a case: its meaning, for a number of channels.
@@ -78,6 +80,18 @@ pub enum Reach {
     HalfRanges(f64),
     /// A weight that would move the tip sideways by so many body lengths with a linear response.
     Lengths(f64),
+}
+
+/// The upper end of a search while a static map of the commands is fitted as well. The scale of such
+/// a map is free, and its output may be a force: an effect may then take up almost all motion.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum WithMap {
+    /// That of other fits.
+    High,
+    /// So many times half the range of the commands.
+    HalfRanges(f64),
+    /// So much, in the unit of the parameter.
+    UpTo(f64),
 }
 
 /// The objects that a parameter has a number for.
@@ -133,6 +147,7 @@ impl Parameter {
             integer: false,
             instant: false,
             reach: Reach::High,
+            with_map: WithMap::High,
             most: None,
             meaning: None,
         }
@@ -177,6 +192,12 @@ impl Parameter {
     /// A fit may go so far beyond `high`.
     pub const fn reaching(mut self, reach: Reach) -> Parameter {
         self.reach = reach;
+        self
+    }
+
+    /// The upper end of the search while a static map is fitted as well.
+    pub const fn with_map(mut self, with_map: WithMap) -> Parameter {
+        self.with_map = with_map;
         self
     }
 

@@ -14,6 +14,9 @@
 use super::conditions::{Conditions, Context};
 use super::declaration::*;
 
+/// A `strength` at which the part that is held back is the complete response of a map.
+const ALL_HELD_BACK: f64 = 30.0;
+
 pub static EFFECT: Effect = Effect {
     declaration: Declaration {
         name: "hysteresis",
@@ -41,7 +44,8 @@ pub static EFFECT: Effect = Effect {
                 0.7,
                 "share of the motion held back just after a reversal",
             )
-            .shared(),
+            .shared()
+            .with_map(WithMap::UpTo(ALL_HELD_BACK)),
             Parameter::new(
                 "reach",
                 "mm",

@@ -3,7 +3,7 @@
 use super::arrays::{Floats, floats};
 use super::at_work;
 use crate::Error;
-use crate::effects::{Chain, Conditions, Context, Parameter, Reach};
+use crate::effects::{Chain, Conditions, Context, Parameter, Reach, WithMap};
 use crate::response::loads::{self, Coefficients};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
@@ -105,6 +105,25 @@ impl PyChain {
     fn lengths<'py>(&self, py: Python<'py>) -> Row<'py> {
         self.column(py, |p| match p.reach {
             Reach::Lengths(times) => times,
+            _ => 0.0,
+        })
+    }
+
+    /// The upper end of the search while a static map is fitted as well, in halves of the range of
+    /// the commands; 0 if it is not limited so.
+    #[getter]
+    fn map_half_ranges<'py>(&self, py: Python<'py>) -> Row<'py> {
+        self.column(py, |p| match p.with_map {
+            WithMap::HalfRanges(times) => times,
+            _ => 0.0,
+        })
+    }
+
+    /// The same in the unit of the parameter; 0 if it is not limited so.
+    #[getter]
+    fn map_high<'py>(&self, py: Python<'py>) -> Row<'py> {
+        self.column(py, |p| match p.with_map {
+            WithMap::UpTo(most) => most,
             _ => 0.0,
         })
     }

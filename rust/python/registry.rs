@@ -1,6 +1,6 @@
 //! Binding of the effect registry.
 
-use crate::effects::{Each, Kind, Law, Parameter, Reach, registry};
+use crate::effects::{Each, Kind, Law, Parameter, Reach, WithMap, registry};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use std::collections::HashMap;
@@ -62,6 +62,13 @@ fn parameter<'py>(py: Python<'py>, p: &Parameter) -> PyResult<Bound<'py, PyDict>
     };
     entry.set_item("half_ranges", half_ranges)?;
     entry.set_item("lengths", lengths)?;
+    let (map_half_ranges, map_high) = match p.with_map {
+        WithMap::High => (0.0, 0.0),
+        WithMap::HalfRanges(times) => (times, 0.0),
+        WithMap::UpTo(most) => (0.0, most),
+    };
+    entry.set_item("map_half_ranges", map_half_ranges)?;
+    entry.set_item("map_high", map_high)?;
     entry.set_item("integer", p.integer)?;
     entry.set_item("instant", p.instant)?;
     entry.set_item("doc", p.doc)?;

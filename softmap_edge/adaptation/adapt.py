@@ -177,7 +177,7 @@ def adapt(
     base, calibration = _calibrated(base, runs, say)
     shown = [_shown(base, one, say) for one in runs]
     found = _missing(base, shown, say) if physics else None
-    better = base if found is None else found.model
+    better = base if found is None or found.model is None else found.model
     say("learning the unexplained error as a smooth field of the command")
     added = better.chain_names != base.chain_names
     rest, residual = _rest(better, shown, added)

@@ -1,13 +1,13 @@
-"""Summarise the contents and gaps of a run as a dictionary, for `softmap check`.
+"""Summarise the contents and gaps of a run, for `softmap check`.
 
 Dwells are those of `conditions`. A place is visited again when every channel is within 2 % of its
-range. Servo resolution is 10 times finer, so repeated commands always match and neighbours on a
-usual grid never do.
+range. Servo resolution is 10 times finer, so repeated commands match. Neighbours on a usual grid do
+not.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,15 +15,12 @@ from numpy.typing import NDArray
 
 from softmap_edge.alignment.clouds import with_depth
 from softmap_edge.checks.advice import Advice, advice, home_unknown
-from softmap_edge.checks.advice_text import advice_lines
-from softmap_edge.checks.collinear import collinear_conditions
-from softmap_edge.checks.frame_clock import frame_clock
+from softmap_edge.checks.collinear import Collinear, collinear_conditions
+from softmap_edge.checks.frame_clock import FrameClock, frame_clock
 from softmap_edge.checks.lost_points import REMEDY, without_lost
 from softmap_edge.checks.unanswered import unanswered
 from softmap_edge.checks.unseen_markers import FAR, unseen_parts
 from softmap_edge.files.atomic import Document
-from softmap_edge.files.numbers import folded
-from softmap_edge.files.printable import listed, one_line, plain_line
 from softmap_edge.logs.plausible import overlong_stroke
 from softmap_edge.model.servo_calibration import converted
 from softmap_edge.model.views import laid
@@ -38,25 +35,94 @@ if TYPE_CHECKING:
     from softmap_edge.model.model import Model
 
 SCHEMA = "softmap.check/1"
-MANY = 20  # unknown fields that are named
 SAME_PLACE = 0.02  # of a channel's range
 
 
-def summary(recorded: Run, model: Model | None = None) -> Document:
-    """Return the contents of a run, with units in the keys.
+@dataclass(frozen=True)
+class Outputs:
+    """The outputs of a run without a body: `names`, `unit`, and the `range` of each."""
 
-    - `missing`, `warnings`: sentences.
-    - `collinear`: conditions that cannot be separated from time or the commands
-      (`collinear.Collinear`, `text`).
-    - `home_known`: whether 0 can be home (`advice.home_unknown`).
-    - `not_seen`: sentences on points that stand for "not seen"; these count as not visible, and the
-      run is not sound.
-    - `unseen_parts`: sentences on what was never or hardly seen (`unseen_markers.unseen_parts`);
-      these are also `warnings`, and the run is not sound.
-    - `unanswered`: a sentence if commands and motion contradict each other, else None; such a run
-      is not sound.
-    - `can_tell`, `cannot_tell`: lists of `advice.Advice`, `{about, tells, text, remedy, minutes}`.
-    - `frame_clock`: a `frame_clock.FrameClock` as a dictionary, or None.
+    names: list[str]
+    unit: str
+    range: list[list[float]]
+
+
+@dataclass(frozen=True)
+class RunSummary:
+    """The contents and gaps of a run; `to_dict()` is the body of the document softmap.check/1.
+
+    Attributes:
+        calibrated: whether ticks were converted to commands by the calibration of a model.
+        command_range: lowest and highest command of each channel.
+        seen: "vertices", "markers" or "points"; None if nothing was seen.
+        points_mm: lowest and highest x, y and z, mm.
+        timeless: whether the log has no time, only an order.
+        visible_share: share of the points that are visible.
+        places_revisited: places other than home that were visited again.
+        unknown_fields: fields of the run that no method uses.
+        roll_seen: whether the markers show the roll of the body.
+        not_seen: sentences on points that stand for "not seen". They count as not visible, and the
+            run is not sound.
+        unseen_parts: sentences on what was never or hardly seen (`unseen_markers.unseen_parts`).
+            They are also `warnings`, and the run is not sound.
+        unanswered: a sentence if commands and motion contradict each other. Such a run is not
+            sound.
+        missing, warnings: sentences.
+        collinear: conditions that cannot be separated from time or the commands.
+        home_known: whether 0 can be home (`advice.home_unknown`).
+        can_tell, cannot_tell: what the run can identify and what it cannot.
+        frame_clock: the clock of the frames against that of the commands.
+    """
+
+    robot: str | None
+    channels: int
+    rows: int
+    duration_s: float
+    rate_hz: float | None
+    calibrated: bool
+    command_unit: str
+    command_range: list[list[float]]
+    frames: int
+    frame_rate_hz: float | None
+    seen: str | None
+    points_mm: list[list[float]] | None
+    output: Outputs | None
+    timeless: bool
+    base_markers: int
+    points_per_frame: int | None
+    visible_share: float
+    encoders: bool
+    gravity: str | None
+    load_g: list[float] | None
+    temperature_c: list[float] | None
+    blocks: list[str]
+    home_visits: int
+    places_revisited: int
+    unknown_fields: list[str]
+    roll_seen: bool
+    not_seen: list[str]
+    unseen_parts: list[str]
+    unanswered: str | None
+    hash: str
+    missing: list[str]
+    collinear: list[Collinear]
+    home_known: bool
+    can_tell: list[Advice]
+    cannot_tell: list[Advice]
+    frame_clock: FrameClock | None
+    warnings: list[str]
+
+    def to_dict(self) -> Document:
+        """Return the summary in document form, with units in the keys."""
+        clock = self.frame_clock
+        return asdict(self) | {
+            "collinear": [asdict(one) | {"text": str(one)} for one in self.collinear],
+            "frame_clock": None if clock is None else clock.to_dict(),
+        }
+
+
+def summary(recorded: Run, model: Model | None = None) -> RunSummary:
+    """Return the contents and gaps of a run.
 
     Args:
         recorded: any run.
@@ -68,132 +134,71 @@ def summary(recorded: Run, model: Model | None = None) -> Document:
     run, lost = without_lost(converted(model, recorded), REMEDY)
     run, depthless = (run, "") if run.points is None else with_depth(run)
     seen = None if run.seen is None else run.array(run.seen)
-    document: Document = {
-        "robot": run.robot,
-        "channels": run.channels,
-        "rows": len(run.t),
-        "duration_s": rounded(run.t[-1] - run.t[0]),
-        "rate_hz": _rate(run.t),
-        "calibrated": recorded.ticks is not None and run.ticks is None,
-        "command_unit": "ticks" if run.ticks is not None else run.command_unit,
-        "command_range": command_ranges(run),
-        "frames": run.frames,
-        "frame_rate_hz": _rate(run.t_seen),
-        "seen": run.seen,
-        "points_mm": None if run.output is not None else _extent(_shown(run, seen)),
-        "output": _outputs(run),
-        "timeless": run.timeless,
-        "base_markers": int(run.extra[BASE_MARKERS].shape[1]) if _has_base(run) else 0,
-        "points_per_frame": None if seen is None or seen.ndim != 3 else int(seen.shape[1]),
-        "visible_share": 1.0
-        if run.visible is None or not run.visible.size
-        else rounded(run.visible.mean()),
-        "encoders": run.present is not None or run.present_ticks is not None,
-        "gravity": _gravity(run),
-        "load_g": None if run.load is None else [rounded(run.load.min()), rounded(run.load.max())],
-        "temperature_c": None
-        if run.temperature is None
-        else [rounded(run.temperature.min()), rounded(run.temperature.max())],
-        "blocks": []
-        if run.block is None
-        else [str(label) for label in dict.fromkeys(run.block.tolist())],
-        **_visits(run),
-        "unknown_fields": sorted(set(run.extra) - OURS),
-        "roll_seen": not laid(run),
-        "not_seen": lost,
-        "unseen_parts": unseen_parts(run),
-        "unanswered": unanswered(run),
-        "hash": recorded.hash(),
-    }
-    document["missing"] = _missing(run, document)
-    document["collinear"] = [asdict(one) | {"text": str(one)} for one in collinear_conditions(run)]
-    words = advice(run, document["home_visits"])
-    document["home_known"] = home_unknown(run) is None
-    document["can_tell"] = [word.to_dict() for word in words if word.tells]
-    document["cannot_tell"] = [word.to_dict() for word in words if not word.tells]
+    home_visits, places_revisited = _visits(run)
+    parts = unseen_parts(run)
+    collinear = collinear_conditions(run)
+    words = advice(run, home_visits)
     clock = frame_clock(run)
-    document["frame_clock"] = None if clock is None else clock.to_dict()
     drift = str(clock) if clock is not None and clock.differs else ""
-    document["warnings"] = [
-        *_damage(run),
-        *filter(None, [depthless]),
-        *document["unseen_parts"],
-        *_warnings(run),
-        *filter(None, [drift]),
-    ]
-    return document
-
-
-def sentences(document: Document) -> list[str]:
-    """Return a summary as plain sentences, one a line."""
-    d = document
-    unit = d["command_unit"]
-    lines = [f"robot     {d['robot'] or 'not named'}"]
-    rate = "" if d["rate_hz"] is None else f" at {d['rate_hz']:g} Hz"
-    over = ", no time recorded" if d.get("timeless") else f" over {d['duration_s']:g} s{rate}"
-    lines.append(f"commands  {d['channels']} channels, {d['rows']} rows{over}")
-    if d["calibrated"]:
-        lines.append("          ticks, as commands by the calibration of the bundle")
-    for c, (low, high) in enumerate(d["command_range"]):
-        lines.append(f"          channel {c}: {low:g} to {high:g} {unit}")
-    rate = "" if d["frame_rate_hz"] is None else f" at {d['frame_rate_hz']:g} Hz"
-    each = "" if d["points_per_frame"] is None else f" of {d['points_per_frame']} {d['seen']}"
-    part = "" if d["visible_share"] == 1.0 else f", {100 * d['visible_share']:.1f} % visible"
-    roll = "" if d["roll_seen"] else ", roll not measured"
-    if (output := d.get("output")) is not None:
-        each = f" of {len(output['names'])} output{'s' * (len(output['names']) != 1)}"
-    rate = "" if d.get("timeless") else rate
-    lines.append(f"seen      {d['frames']} frames{each}{rate}{part}{roll}")
-    if output is not None:
-        spans = zip(output["names"], output["range"])
-        lines += [
-            f"          {name}: {low:.4g} to {high:.4g} {output['unit']}"
-            for name, (low, high) in spans
-        ]
-    if d["points_mm"]:
-        ranges = ", ".join(
-            f"{axis} {low:.4g} to {high:.4g}" for axis, (low, high) in zip("xyz", d["points_mm"])
-        )
-        lines.append(f"          {ranges} mm in the base frame")
-    if d["base_markers"]:
-        lines.append(
-            f"          and {d['base_markers']} markers on the base (`softmap run align --base b0 "
-            "b1 …`)"
-        )
-    visits = d["home_visits"] if d.get("home_known", True) else "not known"
-    lines.append(
-        f"repeats   visits of home: {visits}, other places visited again: {d['places_revisited']}"
+    return RunSummary(
+        robot=run.robot,
+        channels=run.channels,
+        rows=len(run.t),
+        duration_s=rounded(run.t[-1] - run.t[0]),
+        rate_hz=_rate(run.t),
+        calibrated=recorded.ticks is not None and run.ticks is None,
+        command_unit="ticks" if run.ticks is not None else run.command_unit,
+        command_range=command_ranges(run),
+        frames=run.frames,
+        frame_rate_hz=_rate(run.t_seen),
+        seen=run.seen,
+        points_mm=None if run.output is not None else _extent(_shown(run, seen)),
+        output=_outputs(run),
+        timeless=run.timeless,
+        base_markers=int(run.extra[BASE_MARKERS].shape[1]) if _has_base(run) else 0,
+        points_per_frame=None if seen is None or seen.ndim != 3 else int(seen.shape[1]),
+        visible_share=_visible_share(run),
+        encoders=run.present is not None or run.present_ticks is not None,
+        gravity=_gravity(run),
+        load_g=_span(run.load),
+        temperature_c=_span(run.temperature),
+        blocks=_blocks(run),
+        home_visits=home_visits,
+        places_revisited=places_revisited,
+        unknown_fields=sorted(set(run.extra) - OURS),
+        roll_seen=not laid(run),
+        not_seen=lost,
+        unseen_parts=parts,
+        unanswered=unanswered(run),
+        hash=recorded.hash(),
+        missing=_missing(run),
+        collinear=collinear,
+        home_known=home_unknown(run) is None,
+        can_tell=[word for word in words if word.tells],
+        cannot_tell=[word for word in words if not word.tells],
+        frame_clock=clock,
+        warnings=[
+            *_damage(run),
+            *filter(None, [depthless]),
+            *parts,
+            *_warnings(run),
+            *filter(None, [drift]),
+        ],
     )
-    declared = [f"gravity {d['gravity']}"] if d["gravity"] else []
-    declared += [f"{name} {_span(d[key])} {u}" for name, key, u in _DECLARED if d[key] is not None]
-    declared += ["encoder positions"] if d["encoders"] else []
-    lines.append(f"declared  {', '.join(declared) or 'nothing'}")
-    if d["blocks"]:
-        lines.append(
-            f"blocks    {len(d['blocks'])}: "
-            f"{listed(d['blocks'][:8], 8)}{' …' * (len(d['blocks']) > 8)}"
-        )
-    if d["unknown_fields"]:
-        kept = listed(d["unknown_fields"], MANY)
-        lines.append(f"kept      {kept} (not known here, ignored)")
-    lines += [line for text in d.get("not_seen", []) for line in _hung("look at", text)]
-    lines += [line for text in d["missing"] for line in _hung("missing", text)]
-    lines += [line for text in d["warnings"] for line in _hung("look at", text)]
-    lines += [line for one in d["collinear"] for line in _hung("alike", one["text"])]
-    known_to = [] if d.get("unanswered") else d["can_tell"]  # such a run shows nothing of its drive
-    lines += advice_lines([Advice(**word) for word in [*known_to, *d["cannot_tell"]]])
-    return [one_line(line) for line in lines]  # names of fields and blocks are of the file
 
 
-def _hung(name: str, text: str) -> list[str]:
-    return folded(f"{name:<10}{plain_line(text)}", 0, 10)
+def _span(values: Floats | None) -> list[float] | None:
+    """Return the lowest and the highest of some values."""
+    return None if values is None else [rounded(values.min()), rounded(values.max())]
 
 
-_DECLARED = (("load", "load_g", "g"), ("temperature", "temperature_c", "°C"))
+def _visible_share(run: Run) -> float:
+    return 1.0 if run.visible is None or not run.visible.size else rounded(run.visible.mean())
 
 
-def _span(pair: list[float]) -> str:
-    return f"{pair[0]:g}" if pair[0] == pair[1] else f"{pair[0]:g} to {pair[1]:g}"
+def _blocks(run: Run) -> list[str]:
+    """Return the labels of the frames, in order."""
+    return [] if run.block is None else [str(label) for label in dict.fromkeys(run.block.tolist())]
 
 
 def _has_base(run: Run) -> bool:
@@ -225,7 +230,7 @@ def _shown(run: Run, seen: Floats | None) -> Floats | None:
     return np.where(known(run, seen)[..., None], seen, np.nan)
 
 
-def _outputs(run: Run) -> Document | None:
+def _outputs(run: Run) -> Outputs | None:
     """Return the outputs of a run and their ranges, in their unit."""
     if run.output is None:
         return None
@@ -234,7 +239,7 @@ def _outputs(run: Run) -> Document | None:
         [rounded(np.nanmin(c)), rounded(np.nanmax(c))] if np.isfinite(c).any() else [0.0, 0.0]
         for c in rows.T
     ]
-    return {"names": list(run.output.names), "unit": run.output.unit, "range": ranges}
+    return Outputs(list(run.output.names), run.output.unit, ranges)
 
 
 def _gravity(run: Run) -> str | None:
@@ -251,16 +256,15 @@ def _gravity(run: Run) -> str | None:
     return " and ".join("(" + ", ".join(f"{x + 0.0:g}" for x in row) + ")" for row in rows)
 
 
-def _visits(run: Run) -> dict[str, int]:
+def _visits(run: Run) -> tuple[int, int]:
     """Return the number of rests at home, and of other places visited again."""
-    none = {"home_visits": 0, "places_revisited": 0}
     given = run.command if run.command is not None else run.ticks
     if given is None or run.channels == 0 or run.frames == 0 or len(run.t) < 2:
-        return none
+        return 0, 0
     rows = given.astype(np.float64)
     span = np.ptp(rows, axis=0)
     if not (span > 0).any():
-        return none
+        return 0, 0
     state = conditions(run, rows)
     top = np.abs(rows).max()
     away = run.t[np.abs(rows).max(axis=1) > HOME * top]  # s, away from home
@@ -279,12 +283,12 @@ def _visits(run: Run) -> dict[str, int]:
     _, counts = (
         np.unique(np.array(places), axis=0, return_counts=True) if places else (None, np.zeros(0))
     )
-    return {"home_visits": int(home), "places_revisited": int((counts > 1).sum())}
+    return int(home), int((counts > 1).sum())
 
 
-def _missing(run: Run, document: Document) -> list[str]:
+def _missing(run: Run) -> list[str]:
     gaps = []
-    if run.frames and document["seen"] is None:
+    if run.frames and run.seen is None:
         gaps.append("points: there are times of frames but no vertices, markers or points")
     if run.command is None and run.ticks is not None:
         gaps.append(

@@ -127,6 +127,7 @@ def trial(
         other = truth.measure(judge, seed=1)
     with stretch(0.5, 1.0):
         floor = compare(model, truth.twin().measure(judge, seed=1)).error["rms_mm"]
+    assert diagnosis.model is not None
     before, after = compare(model, other), compare(diagnosis.model, other)
     return Trial(truth, model, run, other, fitted, diagnosis, before, after, floor)
 
@@ -211,6 +212,7 @@ def _write(story: Trial, folder: Path) -> dict[str, str]:
     story.run.save(files["run"])
     story.other.save(files["held_out_run"])
     write_atomically(files["diagnosis"], json.dumps(story.diagnosis.to_dict(), indent=1) + "\n")
+    assert story.diagnosis.model is not None
     save_bundle(story.diagnosis.model, files["bundle"])
     files["report"] = write_html(
         folder / "report.html",

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.checks.advice_text import effect_lines
-from softmap_edge.checks.summary import SCHEMA, sentences, summary
+from softmap_edge.checks.summary import SCHEMA, summary
+from softmap_edge.checks.summary_text import sentences
 from softmap_edge.commands.output import check_file, check_kept, check_no_run, next_command
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import RunError, SoftmapError, SweepError
@@ -174,11 +175,16 @@ def check(args: CheckOptions) -> int:
     kind = _kind_of(path)
     document: Document = {"schema": SCHEMA, "path": str(path), "kind": kind}
     found: Document = {}
+    lines: list[str] = []
     try:
-        if kind == "bundle":
+        if kind == "run":
+            found, lines = _run(path, args.bundle)
+        elif kind == "bundle":
             found = _bundle(path) | _compared_networks(path)
+            lines = _bundle_lines(document | found)
         else:
-            found = _run(path, args.bundle) if kind == "run" else read_summary(path)
+            found = read_summary(path)
+            lines = sweep_sentences(found)
         faults = [
             *found.get("not_seen", []),
             *found.get("unseen_parts", []),
@@ -193,11 +199,6 @@ def check(args: CheckOptions) -> int:
     if document["fault"]:
         print(f"not sound: {document['fault']}", file=sys.stderr)
     if found:  # the readable part, also of a damaged or truncated recording
-        say = {"bundle": _bundle_lines, "sweep": sweep_sentences, "run": sentences}
-        lines = say[document["kind"]](document)
-        lines += (
-            effect_lines(document["effects"]) if args.bundle and document["kind"] == "run" else []
-        )
         state = _state_of(document, found)
         lines += [_after_check(path, kind, args.bundle)] if document["sound"] else []
         print("\n".join([f"{state:<10}{path}", *lines]))
@@ -306,15 +307,19 @@ def _existing(path: str) -> Path:
     return Path(path)
 
 
-def _run(path: Path, bundle: str | None) -> Document:
+def _run(path: Path, bundle: str | None) -> tuple[Document, list[str]]:
+    """Return the summary of a run as a document, and as text."""
     model = None if bundle is None else open_model(bundle)
     run, fault = open_incomplete(path, model)
-    document = summary(run, model) | {"fault": fault}
+    contents = summary(run, model)
+    document, lines = contents.to_dict() | {"fault": fault}, sentences(contents)
     if model is not None:
         from softmap_edge.diagnosis.diagnose import showing
 
-        document["effects"] = showing(model, run)
-    return document
+        effects = showing(model, run)
+        document["effects"] = effects
+        lines += effect_lines(effects)
+    return document, lines
 
 
 def _bundle(path: Path, asking: bool = True) -> Document:

@@ -385,14 +385,14 @@ def refit(args: RefitOptions) -> int:
     """
     if args.finger is not None:
         return _refit_finger(args, args.finger)
-    from softmap_edge.diagnosis.diagnose import refit as fit_again
+    from softmap_edge.diagnosis.refit import refit as fit_again
 
     check_bundle(args.out, args.force)
     load_own(args)
     before = open_model(args.bundle)
     model, report = fit_again(before, [open_run(path, before) for path in args.runs])
-    _write(args, model, report | _dropped(before))
-    return int(report["after_held_out_rms_mm"] > report["before_rms_mm"])
+    _write(args, model, report.to_dict() | _dropped(before))
+    return int(report.after_held_out_rms_mm > report.before_rms_mm)
 
 
 def _refit_finger(args: RefitOptions, finger: str) -> int:

@@ -91,8 +91,8 @@ def exceeds_model_error(family: Family, moved_mm: float, state: State) -> bool:
 
     It applies to a freely learned map.
 
-    Such a map contains every static effect of the training robot, so a new effect adds to the model
-    error. The test allows for the standard errors of this run and of the mean over the folds; the
+    Such a map contains every static effect of the training robot. A new effect adds to the model
+    error. The test allows for the standard errors of this run and of the mean over the folds. The
     run counts as that many folds. `state` is the state without the effect.
     """
     record = state.body.record
@@ -201,14 +201,14 @@ def indistinct(other: Answer, first: Answer, ranking: Ranking, state: State) -> 
     """
     if rule.leaves_cause(other.loss, first.loss, state.body.problem.numbers):
         return False
-    if other.resolved and first.resolved:
+    if other.identified and first.identified:
         laws = [law for law in other.tried if law.effects and law.numbers <= first.numbers + 2]
         return any(near(law.loss, first.loss, ranking.before) for law in laws)
-    if first.resolved and rule.clears(first.loss, other.loss, state.body.problem.numbers):
+    if first.identified and rule.clears(first.loss, other.loss, state.body.problem.numbers):
         return False  # free columns have more parameters than a law that leaves noise
-    if first.resolved and first.family.kind == "static" and other.family.name == CATCH_ALL:
+    if first.identified and first.family.kind == "static" and other.family.name == CATCH_ALL:
         return False  # it fits any static law, including this one
-    reference = first.loss if first.resolved else first.representative.loss
+    reference = first.loss if first.identified else first.representative.loss
     if not near(other.representative.loss, reference, ranking.before):
         return False
     return not (

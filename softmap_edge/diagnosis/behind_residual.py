@@ -3,14 +3,14 @@
 They are static effects that look like it and do not contradict the run.
 
 A diagnosis removes the residual. If laws of the library explain the learned part, the diagnosis
-names them. If not, a static field of its size is no evidence: it may be model error or an effect
-(`problem_of`: model-form error in the same directions; a rod's is noise). Effects of memory,
+names them. If not, a static field of its size is no evidence: it may be model error or an effect.
+`problem_of` adds model-form error in the same directions; a rod's is noise. Effects of memory,
 orientation or load are then found as without a residual.
 
 This module diagnoses the residual itself: each effect is fitted to it alone. An effect may have
-been learned if it explains HIDES of the residual's mean square and does not increase the misfit of
-the run. Only a run in which the two differ can decide. A residual within the model error, or one
-that does not lower the error of this run, hides nothing. Units: mm. Limit: effects are fitted to
+been learned if it explains HIDES of the residual's mean square. It must also not increase the
+misfit of the run. Only a run in which the two differ can decide. A residual hides nothing if it is
+within the model error, or does not lower this run's error. Units: mm. Limit: effects are fitted to
 the residual one by one. Pinned by tests/adaptation/test_residual.py.
 """
 
@@ -42,8 +42,9 @@ AGAINST = 9.0  # of the objective over the over-dispersion: three standard devia
 class ResidualConfounds:
     """What a removed residual may contain.
 
-    Its size on the run before and after the effects found, the run's error with and without it, the
-    effects that it may contain (share), and the part that may be model error.
+    It holds its size on the run before and after the effects found. It holds the run's error with
+    and without it. It also holds the effects that it may contain (share), and the part that may be
+    model error.
     """
 
     size_mm: float

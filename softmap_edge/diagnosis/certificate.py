@@ -9,16 +9,16 @@ The covariance holds noise, model error and the robot's ordinary imperfections, 
 the search estimates. φ is the dispersion of the other frames, at least 1 except for a rod.
 
 The split accounts for noise, but a model error is the same in all blocks. For any k fitted
-parameters, 2 ln LR is at most chi²(k) under the null, and E exp(T chi²(k) / 2) = (1 - T)^(-k/2). T
-and the last term keep e an e-value even if the claim was fitted to exactly this error.
+parameters, 2 ln LR is at most chi²(k) under the null. There, E exp(T chi²(k) / 2) = (1 - T)^(-k/2).
+So T and the last term keep e an e-value even if the claim was fitted to this error.
 
 The search uses all frames, so its choice needs a multiplicity correction. Every set of r claims
-among N candidates, and each member of it, is a hypothesis with an e-value, zero if not chosen. Set
-sizes share the level, so r claims count m = 4 r C(N, r). e-BH (Wang and Ramdas 2022,
-doi:10.1111/rssb.12489) over all of them controls the false discovery rate: the k claims of largest
+among N candidates, and each of its members, is a hypothesis. It has an e-value, zero if it was not
+chosen. Set sizes share the level, so r claims count m = 4 r C(N, r). e-BH (Wang and Ramdas 2022,
+doi:10.1111/rssb.12489) over all of them controls the false discovery rate. The k claims of largest
 e are certified, for the largest k whose claims all reach m / (0.05 k). It holds for dependent
-claims. Limits: both fits are one linear step from that of all frames; only the inflation accounts
-for noise correlated over more than the gap between blocks. Pinned by
+claims. Limits: both fits are one linear step from that of all frames. Only the inflation accounts
+for noise that is correlated over more than the gap between blocks. Pinned by
 tests/diagnosis/test_certificates.py.
 """
 
@@ -112,7 +112,7 @@ class _Evidence:
         self.chi2, _, chosen = self._chi2(fit, self.representatives)
         share = len(kept.chosen) / len(outcome.body.record)
         scale = chosen / max(1.0, share * outcome.body.problem.numbers - len(fit.x))
-        # A rod's noise is its error on the run, which contains the tested effect; it may be too
+        # A rod's noise is its error on the run. It contains the tested effect, so it may be too
         # large.
         self.dispersion = scale if outcome.body.record.error_is_noise else max(1.0, scale)
 

@@ -3,10 +3,10 @@
     p(t) ≈ p + θ c(t)  for each fitted parameter p of a law
     c: a condition with mean 0 and variance 1
 
-The slopes of the prediction over the parameters, times the condition, are columns of the normal
-equations at level 1. A law is constant unless these columns explain a good part of the loss that it
-explains. A changing law may be another law of its family, or act on another effect: in both cases
-an unknown error remains. To first order in θ. Pinned by tests/diagnosis/test_changing.py.
+The slopes of the prediction over the parameters, times the condition, are columns at level 1. A law
+is constant unless these columns explain a good part of the loss that it explains. A changing law
+may be another law of its family, or act on another effect. In both cases an unknown error remains.
+To first order in θ. Pinned by tests/diagnosis/test_changing.py.
 """
 
 from __future__ import annotations
@@ -33,8 +33,7 @@ class Change:
 
     Holds its effects, the condition, and the change's share of its loss.
 
-    `share` is the fall of the held-out loss by the change, relative to the loss explained by the
-    law.
+    `share` is how far the change lowers the held-out loss, relative to what the law explains.
     """
 
     effects: tuple[str, ...]
@@ -66,7 +65,7 @@ def changing(outcome: Outcome) -> list[Change]:
     for step in outcome.steps:
         law = step.answer.law
         if (
-            not step.answer.resolved
+            not step.answer.identified
             or law is None
             or not set(law.effects) <= set(state.fit.effects)
         ):

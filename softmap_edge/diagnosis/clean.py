@@ -17,7 +17,7 @@ They are excluded before a fit, with a remark.
 A body resting within the backlash also repeats frames, and so does a model without noise. A frozen
 camera jumps to the body afterwards, while a body in backlash continues from its position. No frame
 is excluded if no pair of frames at rest differs. Limits: two agreeing wrong frames in a row are
-kept; a border that fewer than 3 % of the frames touch is not found. Units: mm, s. Pinned by
+kept. A border that fewer than 3 % of the frames touch is not found. Units: mm, s. Pinned by
 tests/run/test_bad_runs.py.
 """
 
@@ -321,8 +321,8 @@ def _unsteady(run: Run, u: Floats, seen: Floats, visible: Mask) -> tuple[Mask, s
 
     The command is constant in a dwell.
 
-    The scatter of each dwell about its drift, RMS over the points visible in all its frames, is
-    compared with the median of the others.
+    The scatter of each dwell about its drift is compared with the median of the others. It is the
+    RMS over the points visible in all frames of the dwell.
     """
     none, state = np.zeros(run.frames, bool), conditions(run, u)
     if not u.shape[1]:

@@ -11,14 +11,14 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.checks.collinear import collinear_conditions
 from softmap_edge.diagnosis import decision as rule
+from softmap_edge.diagnosis.alternatives import alternatives_of, named_by
 from softmap_edge.diagnosis.behind_residual import ResidualConfounds
 from softmap_edge.diagnosis.certificate import Certified
 from softmap_edge.diagnosis.changing import Change, changing
+from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.diagnosis.evidence import (
     by_condition,
-    equivalents,
     ladder,
     not_testable,
     unexplained_structure,
@@ -52,6 +52,7 @@ from softmap_edge.diagnosis.wording import (
 )
 from softmap_edge.files.atomic import Document
 from softmap_edge.model.effect_info import Registry, registry
+from softmap_edge.model.learned_in import Certainty
 from softmap_edge.model.user_effect import hashes
 from softmap_edge.noise.floor import noise_of_runs
 from softmap_edge.noise.memoryless import repeats_of
@@ -60,8 +61,6 @@ from softmap_edge.noise.noise_model import motion_left
 from softmap_edge.run.folds import labelled
 
 Floats = NDArray[np.float64]
-
-ALONG = "mount.shift_z"  # along the axis of the straight body, where bending does not move it
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,39 +78,125 @@ class Context:
     proof: Certified | None = None
 
 
-def conclude(outcome: Outcome, fit: Fit, context: Context) -> Document:
-    """Convert a finished search to the fields of a diagnosis.
+@dataclass(frozen=True, eq=False)
+class _Claims:
+    """What a search claims.
+
+    Attributes:
+        order: the named effects, faults first, then by explained error.
+        findings: their findings, in this order.
+        families: the detected families.
+        alternatives: what cannot be excluded.
+        error: the error ladder.
+        residual: the remaining error (K, F) mm.
+        moving: the motion at rest.
+        changes: laws whose parameters change with a condition.
+        unknown: whether an unknown error remains.
+    """
+
+    order: list[str]
+    findings: list[Finding]
+    families: tuple[FamilyFinding, ...]
+    alternatives: list[Alternative]
+    error: ErrorLadder
+    residual: Floats
+    moving: Sequence[MotionAtRest]
+    changes: list[Change]
+    unknown: bool
+
+
+def conclude(outcome: Outcome, fit: Fit, context: Context) -> Diagnosis:
+    """Convert a finished search to a diagnosis without remarks, servos and model.
 
     Args:
         outcome: the search.
         fit: the accepted laws, after demotion.
         context: data from outside the search.
-
-    Returns:
-        dict: the fields of a `Diagnosis` except remarks, servos and model.
     """
-    fits, problem = outcome.fits, outcome.body.problem
-    record, known = problem.record, registry()
-    standing = [s for s in outcome.steps if not set(_named(s)) & set(context.demoted)]
-    order = _order(fits, fit, known)
-    alternatives = _alternatives(outcome, fit, standing, known, context)
-    residual = record.seen - fit.predicted - outcome.state.shift
-    if record.remapped:  # the re-solved map cancels part of each representative
-        ways = (residual, residual - outcome.state.ordinary, record.seen - fit.predicted)
-        residual = min(ways, key=record.rms_mm)
+    fits, known, own = outcome.fits, registry(), context.own
+    record = outcome.body.problem.record
+    standing = [s for s in outcome.steps if not set(named_by(s)) & set(context.demoted)]
+    claims = _claims(outcome, fit, context, standing, known)
     left = replace(
-        unexplained_structure(problem, residual, len(fit.x)),
+        unexplained_structure(outcome.body.problem, claims.residual, len(fit.x)),
         ordinary_mm=_ordinary_mm(outcome) or None,
     )
+    faults = tuple(f for f in claims.findings if known[f.name].is_fault)
+    physics = tuple(f for f in claims.findings if not known[f.name].is_fault)
+    refit_first = own is not None and own.after_mm <= claims.error.after
+    doubts = [
+        *([str(own)] if own is not None and not refit_first else []),
+        *at_bounds(claims.findings),
+        *record.doubts,
+        *map(str, claims.changes),
+        *unconfirmed([*claims.findings, *claims.families]),
+    ]
     behind = [] if context.masked is None else context.masked.untestable()
     hidden = [*behind, *context.impossible]
     hidden += [h for h in not_testable(fits, fit) if h.name not in {b.name for b in hidden}]
+    is_open = any(s.answer.open for s in standing)
+    # A limit of the model is not a limit of the run.
+    recordable, others = (
+        sum(not h.of_model for h in every) for every in (hidden, context.impossible)
+    )
+    verdict = verdict_of(
+        physics or (faults if _physical(claims.alternatives, known) or is_open else ()),
+        faults,
+        refit_first or bool(claims.alternatives or doubts or is_open),
+        claims.unknown,
+        bool(claims.families),
+        recordable,
+        len(fits.candidates) + others,
+    )
+    if verdict == "nothing" and behind:
+        verdict, hidden = "cannot_tell", behind
+    sentence = sentence_of(
+        verdict,
+        physics,
+        faults,
+        claims.families,
+        claims.alternatives,
+        left,
+        hidden,
+        claims.error,
+        context.demoted,
+        "" if outcome.hint is None else outcome.hint.family.name,
+    )
+    return Diagnosis(
+        verdict=verdict,
+        sentence=_with_doubts(sentence, context, refit_first, doubts, claims.moving),
+        effects=physics,
+        faults=faults,
+        families=_with_motion(claims.families, claims.moving),
+        alternatives=tuple(claims.alternatives),
+        not_testable=tuple(hidden),
+        where=Where(
+            by_condition(record, record.seen - fits.null.predicted),
+            by_condition(record, claims.residual),
+        ),
+        error=claims.error,
+        unexplained=left,
+        next=(
+            *mended(faults),
+            *refits(own),
+            *(NextBlock(*one.experiment, one.effects) for one in claims.changes),
+            *next_blocks(claims.alternatives, hidden, known, claims.order, claims.families),
+        ),
+        made_from=_made_from(outcome, claims.order, context, known),
+    )
+
+
+def _claims(
+    outcome: Outcome, fit: Fit, context: Context, standing: Sequence[Step], known: Registry
+) -> _Claims:
+    """Return what a search claims; `standing` are its steps after demotion."""
+    order = _order(outcome.fits, fit, known)
+    alternatives = alternatives_of(
+        outcome, fit, standing, known, context.demoted, context.impossible, context.own
+    )
+    residual = _residual(outcome, fit)
     dropped = outcome.steps if not standing and context.other is None else []  # all that was found
-    moving = problem.noise.moving
-    if moving and order:  # slow settling also moves at rest, until it is explained
-        moving = motion_left(
-            residual, record.seen, record.positions, record.t_seen, record.state
-        ).found
+    moving = _moving(outcome, residual, explained=bool(order))
     changes = [one for one in changing(outcome) if not set(one.effects) & set(context.demoted)]
     unknown = bool(moving or changes) or _unknown(
         outcome, fit, context.own, standing, bool(dropped)
@@ -119,84 +204,65 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> Document:
     findings = [
         _finding(outcome, fit, name, context, alternatives, unknown, known) for name in order
     ]
-    faults = tuple(f for f in findings if known[f.name].is_fault)
-    physics = tuple(f for f in findings if not known[f.name].is_fault)
-    error = _error(outcome, order, context.other)
-    detected = tuple(_family(outcome, s, context.proof, changes) for s in standing)
-    detected += tuple(
+    families = tuple(_family(outcome, s, context.proof, changes) for s in standing)
+    families += tuple(
         replace(_family(outcome, s, None, ()), law="unknown", effects=()) for s in dropped
     )
-    if unknown and not detected:
-        hints = _memoryless(record, residual)
-        if (near := outcome.hint) is not None:
-            share = 1.0 - near.left / max(float(outcome.null.sum()), 1e-300)
-            hints.append(
-                FamilyFinding(
-                    near.family.name, near.family.kind, "unknown", (), share, near.moved_mm
-                )
-            )
-        detected = tuple(sorted(hints, key=lambda one: -one.share)[:1])
-    changed = context.own is not None and context.own.after_mm <= error.after
-    doubts = [
-        *at_bounds(findings),
-        *record.doubts,
-        *map(str, changes),
-        *unconfirmed([*findings, *detected]),
-    ]
-    if context.own is not None and not changed:
-        doubts.insert(0, str(context.own))
-    is_open = any(s.answer.open for s in standing)
-    unsure = _physical(alternatives, known)
-    # A limit of the model is not a limit of the run.
-    recordable, others = (
-        sum(not h.of_model for h in every) for every in (hidden, context.impossible)
+    if unknown and not families:
+        families = _hints(outcome, residual)
+    error = _error(outcome, order, context.other)
+    return _Claims(
+        order, findings, families, alternatives, error, residual, moving, changes, unknown
     )
-    verdict = verdict_of(
-        physics or (faults if unsure or is_open else ()),
-        faults,
-        changed or bool(alternatives or doubts or is_open),
-        unknown,
-        bool(detected),
-        recordable,
-        len(fits.candidates) + others,
-    )
-    if verdict == "nothing" and behind:
-        verdict, hidden = "cannot_tell", behind
-    hint = outcome.hint.family.name if outcome.hint is not None else ""
-    sentence = sentence_of(
-        verdict, physics, faults, detected, alternatives, left, hidden, error, context.demoted, hint
-    )
-    return {
-        "verdict": verdict,
-        "sentence": (
-            f"Refit first: {context.own}. The findings below may be due to it. " if changed else ""
+
+
+def _residual(outcome: Outcome, fit: Fit) -> Floats:
+    """Return the error (K, F) mm that the accepted laws leave."""
+    record = outcome.body.problem.record
+    residual = record.seen - fit.predicted - outcome.state.shift
+    if not record.remapped:
+        return residual
+    # the re-solved map cancels part of each representative
+    ways = (residual, residual - outcome.state.ordinary, record.seen - fit.predicted)
+    return min(ways, key=record.rms_mm)
+
+
+def _moving(outcome: Outcome, residual: Floats, explained: bool) -> Sequence[MotionAtRest]:
+    """Return the motion at rest; slow settling also moves at rest, until it is `explained`."""
+    problem = outcome.body.problem
+    record, moving = problem.record, problem.noise.moving
+    if not moving or not explained:
+        return moving
+    return motion_left(residual, record.seen, record.positions, record.t_seen, record.state).found
+
+
+def _hints(outcome: Outcome, residual: Floats) -> tuple[FamilyFinding, ...]:
+    """Return the nearest family of an unknown error that no family was detected for, if any."""
+    hints = _memoryless(outcome.body.problem.record, residual)
+    if (near := outcome.hint) is not None:
+        share = 1.0 - near.left / max(float(outcome.null.sum()), 1e-300)
+        hints.append(
+            FamilyFinding(near.family.name, near.family.kind, "unknown", (), share, near.moved_mm)
         )
+    return tuple(sorted(hints, key=lambda one: -one.share)[:1])
+
+
+def _with_doubts(
+    sentence: str,
+    context: Context,
+    refit_first: bool,
+    doubts: Sequence[str],
+    moving: Sequence[MotionAtRest],
+) -> str:
+    """Return the sentence of a diagnosis with its doubts, and what must be done before."""
+    first = f"Refit first: {context.own}. The findings below may be due to it. "
+    return (
+        (first if refit_first else "")
         + sentence
         + "".join(f" But {doubt}." for doubt in doubts)
         + "".join(f" Moreover, {motion}." for motion in moving)
-        + ("" if context.masked is None else f" {context.masked}."),
-        "effects": physics,
-        "faults": faults,
-        "families": _with_motion(detected, moving),
-        "alternatives": tuple(alternatives),
-        "not_testable": tuple(hidden),
-        "where": Where(
-            by_condition(record, record.seen - fits.null.predicted), by_condition(record, residual)
-        ),
-        "error": error,
-        "unexplained": left,
-        "next": (
-            *mended(faults),
-            *refits(context.own),
-            *(NextBlock(*one.experiment, one.effects) for one in changes),
-            *next_blocks(alternatives, hidden, known, order, detected),
-        ),
-        "made_from": _made_from(outcome, order, context, known),
-    }
-
-
-def _named(step: Step) -> tuple[str, ...]:
-    return step.answer.law.effects if step.answer.law is not None else ()
+        + ("" if context.masked is None else f" {context.masked}.")
+    )
 
 
 def _order(fits: Fits, fit: Fit, known: Registry) -> list[str]:
@@ -210,7 +276,7 @@ def _unknown(
 ) -> bool:
     """Whether an unknown error remains.
 
-    It has no law and is not part of the named effects, or it far exceeds the model error.
+    It has no law and is not part of the named effects, or far exceeds the model error.
     """
     if own is not None and own.after_mm <= outcome.fits.held_out_mm(fit):
         return False  # other parameters of the model's own effects explain the unexplained error
@@ -237,11 +303,11 @@ def _family(
     laws = [law for law in answer.tried if law.effects]
     best = min((law.left for law in laws), default=None)
     named = [answer.law] if answer.law is not None else []
-    others = () if answer.resolved else answer.equals
+    others = () if answer.identified else answer.equals
     effects = [e for law in (*named, *others) for e in law.effects]
-    law = "open" if answer.open else "unknown"
-    if answer.resolved and not any(set(one.effects) & set(effects) for one in changes):
-        law = "resolved"
+    law: Certainty = "open" if answer.open else "unknown"
+    if answer.identified and not any(set(one.effects) & set(effects) for one in changes):
+        law = "identified"
     return FamilyFinding(
         answer.family.name,
         answer.family.kind,
@@ -307,7 +373,7 @@ def _finding(
     is_fault = known[name].is_fault
     alike = [e for e in fit.effects if known[e].is_fault == is_fault]
     total = sum(max(fits.share(fit, e), 0.0) for e in alike)
-    step = next((s for s in outcome.steps if name in _named(s)), None)
+    step = next((s for s in outcome.steps if name in named_by(s)), None)
     numbers = parameters(record, fit, sigma, (name,))
     certificate = None if context.proof is None else context.proof.effects.get(name)
     return Finding(
@@ -344,7 +410,7 @@ def _probability(
     )
     doubts += certificate is not None and certificate.refuted
     odds = rule.ODDS_BASE + rule.ODDS_DOUBT * doubts
-    if step is not None and not step.answer.resolved:
+    if step is not None and not step.answer.identified:
         # all fitting laws are equally likely, and so is an untried one
         odds += 1.0 + len(step.answer.reaching)
     return 1.0 / (1.0 + odds)
@@ -370,135 +436,6 @@ def _ordinary_mm(outcome: Outcome) -> float:
     state = outcome.state
     explained = state is not state.without_background()
     return outcome.body.record.rms_mm(state.ordinary) if explained else outcome.body.ordinary_mm
-
-
-def _alternatives(
-    outcome: Outcome, fit: Fit, standing: Sequence[Step], known: Registry, context: Context
-) -> list[Alternative]:
-    """Return what cannot be excluded: equally good laws and families, and those of equal form."""
-    found: list[Alternative] = []
-    dropped = set(context.demoted)
-
-    def add(one: Alternative) -> None:
-        known = any(
-            set(one.effects) == set(a.effects) and one.family in ("", a.family) for a in found
-        )
-        same = set(one.effects) == set(fit.effects) and not one.family
-        if not known and not dropped & set(one.effects) and not same:
-            found.append(one)
-
-    for step in standing:
-        named = _named(step)
-        rest = [e for e in fit.effects if e not in named]
-        member = named[0] if named else ""
-        for law in step.answer.equals:
-            add(
-                Alternative(
-                    (*rest, *law.effects),
-                    _why(law.loss, step.answer.loss),
-                    member,
-                    step.family.name,
-                )
-            )
-        for other in step.others:
-            why, effects = (
-                f"the family {other.family.name} cannot be distinguished from {step.family.name} "
-                "here",
-                rest,
-            )
-            if other.resolved and other.law is not None:
-                why, effects = _why(other.law.loss, step.answer.loss), [*rest, *other.law.effects]
-            add(Alternative(tuple(effects), why, member, other.family.name))
-    for step, family, why in _confounded(outcome, standing):
-        named = _named(step)
-        add(
-            Alternative(
-                tuple(e for e in fit.effects if e not in named),
-                why,
-                named[0] if named else "",
-                family,
-            )
-        )
-    for member in fit.effects:
-        for twin, why in _twins(outcome.fits, fit, member, known, context.impossible):
-            add(Alternative(tuple(twin if e == member else e for e in fit.effects), why, member))
-    if context.own is not None and fit.effects:
-        found.insert(
-            0, Alternative(tuple(context.own.names), str(context.own), next(iter(fit.effects)))
-        )
-    return found
-
-
-def _confounded(outcome: Outcome, standing: Sequence[Step]) -> list[tuple[Step, str, str]]:
-    """Return steps of a condition that changes with time in every run.
-
-    Each has the family it looks like, and the reason.
-    """
-    conditions = [
-        {c.condition: c for c in collinear_conditions(part.run)} for part in outcome.body.parts
-    ]
-    found = []
-    for step in standing:
-        pairs = {"temperature": "time", "time": "temperature", "step": "temperature"}
-        other = pairs.get(step.family.name)
-        if other is None or not all("temperature" in known for known in conditions):
-            continue
-        why = "; ".join(dict.fromkeys(str(known["temperature"]) for known in conditions))
-        found.append((step, other, why))
-    return found
-
-
-def _why(theirs: Floats, mine: Floats) -> str:
-    gap = rule.difference(theirs, mine)
-    share = 100.0 * float(theirs.sum() - mine.sum()) / max(float(mine.sum()), 1e-300)
-    return (
-        f"fits as well: held-out loss {share:+.1f} %, "
-        f"{abs(gap.fall) / max(gap.error, 1e-300):.1f} σ"
-    )
-
-
-def _twins(
-    fits: Fits, fit: Fit, member: str, known: Registry, impossible: Sequence[Untestable]
-) -> list[tuple[str, str]]:
-    """Return effects that look like a member under the run's conditions.
-
-    Each has the reason why it cannot be excluded.
-    """
-    record, found = fits.problem.record, []
-    never = {h.name for h in impossible}
-    for twin in (*equivalents(record, member), *_unbased(record, fit, member, known, never)):
-        by = known[member].alike.get(twin) or known[twin].alike.get(member)
-        why = f"{twin} and {member} look alike under the conditions of this run"
-        if twin in fit.effects or twin not in (*fits.candidates, *never):
-            continue
-        if by == "roll":
-            why += ": no point shows a turn about the axis"  # and so it is not fitted either
-        elif twin in fits.candidates:
-            other = fits.get({*fit.effects, twin} - {member}, fit.space.split)
-            rest = fits.without(fit, member)
-            before, mine, theirs = (float(fits.losses(f)[0].sum()) for f in (rest, fit, other))
-            done = (before - theirs) / max(before - mine, 1e-300)
-            # load models are too inaccurate to exclude one
-            if by != "orientation" and done < rule.STANDS_FOR:
-                continue
-            why += f"; fitted here it does {100.0 * min(max(done, 0.0), 1.0):.0f} % of it"
-        elif twin in never:
-            why += "; it was not tried"
-        found.append((twin, why))
-    return found
-
-
-def _unbased(record: Record, fit: Fit, member: str, known: Registry, never: set[str]) -> list[str]:
-    """Return effects that look like a member if no point of the base is visible.
-
-    They are effects that the model does not have.
-
-    Bending does not move a body along its axis.
-    """
-    lifted = abs(fit.params.get(ALONG, 0.0)) > rule.VISIBLE_MM
-    if lifted or all(base is not None for base in record.bases):
-        return []
-    return [twin for twin, by in known[member].alike.items() if by == "base" and twin in never]
 
 
 def _error(outcome: Outcome, order: Sequence[str], other: Record | None) -> ErrorLadder:

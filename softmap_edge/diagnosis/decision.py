@@ -16,8 +16,9 @@ Floats = NDArray[np.float64]
 # of the explained loss: tolerated error in the form of a law (0.22 of its amplitude, squared)
 FORM = 0.05
 FORM_MOST = 0.15  # the same for a static law: it need not explain ordinary imperfections
-# Relative fall of the held-out loss that counts: for a family to be fitted, accepted or linearised
-# once more, for a law to beat its equals, and for parameters that change with a condition.
+# Relative fall of the held-out loss that counts. It applies to families that are fitted, accepted
+# or linearised again. It also applies to a law that beats its equals, and to parameters that change
+# with a condition.
 FALL = 0.03
 # of the loss above the noise: least fall of the first family and of later ones
 FALL_FIRST, FALL_NEXT = 0.2, 0.3
@@ -28,25 +29,25 @@ AGREE = 0.85
 ABOVE_NOISE = 1.3  # limit of the loss per whitened value; noise rarely exceeds it
 VISIBLE_MM = 0.12  # least effect size, mm RMS of the centreline
 ORDINARY = 0.04  # of the motion (RMS): upper limit of ordinary imperfections
-# Ratio to the rest, at least: of a static effect to ordinary imperfections or to the model error of
-# a learned map; of a free static shape taken before other families; of a law that is still searched
-# after three families.
+# Least ratio to the rest. It applies to a static effect, against ordinary imperfections or the
+# model error of a learned map. It also applies to a free static shape that is taken before other
+# families. The same holds for a law that is searched after three families.
 DOMINATES = 2.0
 # standard errors of a learned map's model error that a new static effect must also exceed
 SCATTER = 2.0
 MIMIC = 0.9  # R² of a family's effect on the columns of others above which it adds nothing
-# Unexplained share of the loss, or of the mean square. Above it, an unknown effect is reported, and
-# a few laws are tried at once instead of one family after the other. Also the share of a law's
+# Unexplained share of the loss, or of the mean square. Above it, an unknown effect is reported. A
+# few laws are then tried at once, not one family after the other. Also the share of a law's
 # explained loss above which its parameters change.
 LEFT = 0.1
 # times model error or noise: unexplained error above which an unaccepted family counts
 UNKNOWN_TIMES = 2.5
 MISWIRED = 0.2  # of the motion: least model error for testing exchanged servos
-# Least explained share: of a family, by a law that is only a candidate; of a member, by an effect
-# of the same form that is its alternative.
+# Least explained share. A law that explains less of its family is no candidate. An effect of the
+# same form that explains less of a member is no alternative.
 STANDS_FOR = 0.6
 ODDS_BASE = 0.03  # odds against any named effect
-# the same for each alternative, each parameter at its bound, and an unknown effect alongside
+# the same for each alternative, each parameter at its bound, and an unknown effect
 ODDS_DOUBT = 0.5
 
 

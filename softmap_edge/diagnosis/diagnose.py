@@ -14,7 +14,7 @@ tests/diagnosis/test_diagnosis.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -33,14 +33,13 @@ from softmap_edge.diagnosis.conclusion import Context, conclude
 from softmap_edge.diagnosis.decision import ORDINARY, UNKNOWN_TIMES, VISIBLE_MM
 from softmap_edge.diagnosis.document import Diagnosis, with_error
 from softmap_edge.diagnosis.evidence import detectability, equivalents, unseen
-from softmap_edge.diagnosis.findings import Number, plain
 from softmap_edge.diagnosis.fit import Fit, Problem
-from softmap_edge.diagnosis.fits import Fits, carried
-from softmap_edge.diagnosis.fitted import parameters
+from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.outcome import Outcome
 from softmap_edge.diagnosis.prepare import candidates_of, problem_of
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.records import record_of
+from softmap_edge.diagnosis.refit import refit, shared
 from softmap_edge.diagnosis.search import search
 from softmap_edge.diagnosis.servo_lag import servos
 from softmap_edge.diagnosis.taught import TaughtRuns, with_unknown
@@ -49,7 +48,6 @@ from softmap_edge.diagnosis.wrong_declarations import strange, wrong_load, wrong
 from softmap_edge.errors import SoftmapError
 from softmap_edge.files.atomic import Document
 from softmap_edge.model.effect_info import registry
-from softmap_edge.model.learned_in import LearnedNumber
 from softmap_edge.model.servo_calibration import converted
 from softmap_edge.model.training_range import BEYOND
 from softmap_edge.run.folds import withheld
@@ -62,11 +60,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 NAMING = ("identified", "ambiguous", "partly_explained")  # verdicts that name what is missing
-# fields of a diagnosis with names
-NAMED = ("alternatives", "effects", "faults", "families")
 UNSAID = 0.05  # share of frames that may lie outside the model's training range
-# fall of the held-out error by a refit above which the model's own parameters are in doubt
-OWN_FALL = 0.7
 # cosine of two whitened signatures above which their form does not distinguish them
 ALIKE = 0.95
 TWICE = (
@@ -108,79 +102,99 @@ def diagnose(
     _apart(run, held_out, reference)
     record, remarks = clean_record(model, run, reference)
     candidates, impossible = candidates_of(record, effects)
-    fixed = excluded(
-        record.recorded_runs,
-        record.bases,
-        _reach(record),
-        max(VISIBLE_MM, ORDINARY * motion_mm(record)),
-    )
+    fixed = _fixed(record)
     candidates = [name for name in candidates if name not in fixed]
     remarks += [text for name, text in fixed.items() if effects is None or name in effects]
     teacher = TaughtRuns.by(model, as_runs(run))
     problem, outcome = _searched(record, candidates, progress, teacher)
     held = teacher.hidden(record, candidates)
-    candidates, impossible = (
-        [n for n in candidates if n not in {h.name for h in held}],
-        [*impossible, *held],
-    )
+    candidates = [n for n in candidates if n not in {h.name for h in held}]
     other = None if held_out is None else _validation(model, held_out, reference)
-    fit = outcome.fit
-    demoted: list[str] = []
-    if other is not None:
-        fit, demoted = _demote(outcome.fits, fit, lambda f: _error_on(f, other), 0.995)
-    else:  # model-form error can hide a static effect's error on unseen blocks; mm show it
-        fit, demoted = _demote(outcome.fits, fit, outcome.fits.held_out_mm, 1.0)
-        if demoted:  # search again for what it replaced
-            outcome = search(
-                problem, [name for name in candidates if name not in demoted], progress
-            )
-            fit, more = _demote(outcome.fits, outcome.fit, outcome.fits.held_out_mm, 1.0)
-            demoted += more
+    outcome, fit, demoted = _accepted(problem, outcome, candidates, other, progress)
     # wrong parameters of its own effects also cancel
     own = _own_misfit(record) if record.replay is None else None
     proof = certified(outcome, fit, withheld(record.t_seen, record.block, record.begins))
-    context = Context(other, demoted, impossible, own, masked(outcome.fits, fit), proof)
-    gone = None  # a static map follows its training runs as far as it can
-    if not record.remapped:
-        gone = commands_not_followed(
-            record, outcome.state.predicted if outcome.state.representatives else fit.predicted
-        )
-    values = conclude(outcome, fit, context)
-    if gone is None:
-        loaded = any(run.load is not None and np.any(run.load) for run in record.recorded_runs)
-        if strange(plain(values), loaded):
-            error, again = (
-                outcome.fits.held_out_mm(fit),
-                partial(_again, model, candidates=candidates),
-            )
-            gone = wrong_sign(record, error, again) or wrong_load(record, error, again)
-    if gone is not None:
-        fit, values = outcome.plain.null, _named_nothing(values, "measurement_fault", gone)
-    elif values["verdict"] in NAMING and (why := _extrapolated(record, outcome)) is not None:
-        fit, values = outcome.plain.null, _named_nothing(values, "cannot_tell", why)
-    values |= with_unknown(model, values, teacher)
-    values["sentence"] += _outside(record) + ("" if record.replay is None else f" {record.replay}.")
-    if model.output is not None:  # how reports convert the model's mm to the output's unit
-        values["made_from"] = {**values["made_from"], "output": model.output.to_dict()}
-    found = model.with_effects(fit.space.names, _shared(fit)) if fit.effects else model
+    hidden = [*impossible, *held]
+    context = Context(other, demoted, hidden, own, masked(outcome.fits, fit), proof)
+    found = conclude(outcome, fit, context)
+    again = partial(_again, model, candidates=candidates)
+    if (fault := _measurement_fault(record, outcome, fit, found, again)) is not None:
+        fit, found = outcome.plain.null, _named_nothing(found, "measurement_fault", fault)
+    elif found.verdict in NAMING and (why := _extrapolated(record, outcome)) is not None:
+        fit, found = outcome.plain.null, _named_nothing(found, "cannot_tell", why)
+    found = with_unknown(model, found, teacher)
+    replay = "" if record.replay is None else f" {record.replay}."
+    # how reports convert the model's mm to the output's unit
+    output = {} if model.output is None else {"output": model.output.to_dict()}
+    relearn = teacher.next(found.effects) if record.remapped else []
+    runs = [converted(model, run) for run in record.recorded_runs]
     remarks += [] if record.replay is None else [TWICE]
     remarks += [str(teacher)] if teacher.runs else []
-    values["next"] = (
-        *(teacher.next(values["effects"]) if record.remapped else ()),
-        *values["next"],
-    )
-    converted_runs = [converted(model, run) for run in record.recorded_runs]
-    remarks += missing_data(converted_runs, len(record), problem.noise.measured)
-    encoded = [run for run in converted_runs if run.present is not None]
+    remarks += missing_data(runs, len(record), problem.noise.measured)
+    encoded = [run for run in runs if run.present is not None]
     behind = servos(encoded[0], [*candidates, *record.model.chain_names]) if encoded else []
-    found = with_error(found, values["effects"])
-    return Diagnosis(
-        **values,
+    better = model.with_effects(fit.space.names, shared(fit)) if fit.effects else model
+    return replace(
+        found,
+        sentence=found.sentence + _outside(record) + replay,
+        made_from=found.made_from | output,
+        next=(*relearn, *found.next),
         learned_in=model.learned_in,
         servo=tuple(behind),
         remarks=tuple(remarks),
-        model=found,
+        model=with_error(better, found.effects),
     )
+
+
+def _fixed(record: Record) -> dict[str, str]:
+    """Return the frame effects that base markers exclude, and why."""
+    least_mm = max(VISIBLE_MM, ORDINARY * motion_mm(record))
+    return excluded(record.recorded_runs, record.bases, _reach(record), least_mm)
+
+
+def _accepted(
+    problem: Problem,
+    outcome: Outcome,
+    candidates: Sequence[str],
+    other: Record | None,
+    progress: Callable[[str], None] | None,
+) -> tuple[Outcome, Fit, list[str]]:
+    """Drop effects that do not lower the error on an independent run, or on held-out blocks.
+
+    Returns:
+        tuple: the search, repeated if effects were dropped without an independent run; the fit of
+        the accepted effects; the names of the dropped ones.
+    """
+    if other is not None:
+        fit, demoted = _demote(outcome.fits, outcome.fit, lambda f: _error_on(f, other), 0.995)
+        return outcome, fit, demoted
+    # model-form error can hide a static effect's error on unseen blocks; mm show it
+    fit, demoted = _demote(outcome.fits, outcome.fit, outcome.fits.held_out_mm, 1.0)
+    if not demoted:
+        return outcome, fit, demoted
+    # search again for what it replaced
+    outcome = search(problem, [name for name in candidates if name not in demoted], progress)
+    fit, more = _demote(outcome.fits, outcome.fit, outcome.fits.held_out_mm, 1.0)
+    return outcome, fit, [*demoted, *more]
+
+
+def _measurement_fault(
+    record: Record,
+    outcome: Outcome,
+    fit: Fit,
+    found: Diagnosis,
+    again: Callable[[Sequence[Run]], float],
+) -> str | None:
+    """Report commands that are not followed, and gravity or a load that is declared wrongly."""
+    if not record.remapped:  # a static map follows its training runs as far as it can
+        predicted = outcome.state.predicted if outcome.state.representatives else fit.predicted
+        if (gone := commands_not_followed(record, predicted)) is not None:
+            return gone
+    loaded = any(run.load is not None and np.any(run.load) for run in record.recorded_runs)
+    if not strange(found, loaded):
+        return None
+    error = outcome.fits.held_out_mm(fit)
+    return wrong_sign(record, error, again) or wrong_load(record, error, again)
 
 
 def _reach(record: Record) -> float:
@@ -210,66 +224,6 @@ def _apart(
             "the reference is the run itself, so nothing differs; give a recording of before the "
             "change"
         )
-
-
-def refit(model: Model, run: Run | Sequence[Run]) -> tuple[Model, Document]:
-    """Refit a model's own effects to a run, per channel if that is far better.
-
-    Returns:
-        tuple: the model with new parameters, and a document with parameters ± sigma and the error
-        before and after.
-
-    Raises:
-        SoftmapError: the model has no effects.
-    """
-    own = tuple(model.chain_names)
-    if not own:
-        raise SoftmapError(
-            "the model has no effects to refit; `softmap diagnose` finds out which it lacks"
-        )
-    record, _ = clean_record(model, run)
-    problem = problem_of(record, list(own))
-    space = problem.space(own, free=own)
-    now = space.scaled(record.own()[space.free])
-    before = problem.null()
-    fit = problem.fit(own, [now, space.start], free=own)
-    after = problem.held_out_mm(problem.fold_predictions(fit))
-    each = _for_each_channel(problem, fit)
-    if (apart := problem.held_out_mm(problem.fold_predictions(each))) <= OWN_FALL * after:
-        fit, after = each, apart
-    sigma = problem.uncertainty(fit, max(1.0, fit.chi2 / max(1.0, problem.numbers)))
-    numbers = parameters(record, fit, sigma, own)
-    document = {
-        "params": plain(numbers),
-        "before_rms_mm": record.rms_mm(record.seen - before.predicted),
-        "after_held_out_rms_mm": after,
-    }
-    return _relearned(model.with_effects(own, _shared(fit)), numbers), document
-
-
-def _for_each_channel(problem: Problem, fit: Fit) -> Fit:
-    """Return a fit of a model's own effects with one parameter per channel."""
-    space = problem.space(fit.effects, free=fit.effects, split=fit.effects)
-    if space.free_labels == fit.space.free_labels:
-        return fit
-    return problem.fit(fit.effects, [carried(fit, space)], free=fit.effects, split=fit.effects)
-
-
-def _relearned(model: Model, numbers: Mapping[str, Number]) -> Model:
-    """Update the parameters in a model's record of learned effects from a later fit."""
-    fresh = [
-        LearnedNumber(label, n.value, n.sigma or 0.0, n.unit, n.at_bound)
-        for label, n in numbers.items()
-    ]
-    records = [
-        replace(
-            one, params=tuple(n for n in fresh if n.label.split(".")[0] == one.name) or one.params
-        ).to_dict()
-        for one in model.learned_in
-    ]
-    return (
-        replace(model, made_from={**model.made_from, "learned_in": records}) if records else model
-    )
 
 
 def showing(model: Model, run: Run) -> list[Document]:
@@ -321,7 +275,7 @@ def _searched(
 ) -> tuple[Problem, Outcome]:
     """Search a record for the effects that its model lacks.
 
-    The learned part of a residual is an effect if laws of the library explain it; otherwise it may
+    The learned part of a residual is an effect if laws of the library explain it. Otherwise it may
     be model error. A map learned with --static is solved again if a memory law then explains the
     run.
     """
@@ -338,11 +292,6 @@ def _searched(
         record.remapped = False
         outcome = search(problem, candidates, progress)
     return problem, outcome
-
-
-def _shared(fit: Fit) -> dict[str, float]:
-    """Return a model's fitted parameters, without those of single later runs."""
-    return {label: value for label, value in fit.params.items() if "@" not in label}
 
 
 def _again(model: Model, runs: Sequence[Run], candidates: Sequence[str]) -> float:
@@ -366,11 +315,17 @@ def _validation(model: Model, held_out: Run, reference: Run | Sequence[Run] | No
         ) from None
 
 
-def _named_nothing(values: Document, verdict: str, why: str) -> Document:
+def _named_nothing(found: Diagnosis, verdict: str, why: str) -> Diagnosis:
     """Return a diagnosis without named effects, for a reason outside the search."""
-    error = replace(values["error"], ladder=(), with_static_residual=None)
-    return {**values, "verdict": verdict, "sentence": why, "error": error} | dict.fromkeys(
-        NAMED, ()
+    return replace(
+        found,
+        verdict=verdict,
+        sentence=why,
+        alternatives=(),
+        effects=(),
+        faults=(),
+        families=(),
+        error=replace(found.error, ladder=(), with_static_residual=None),
     )
 
 
@@ -432,12 +387,10 @@ def _own_misfit(record: Record) -> OwnMisfit | None:
     if not record.model.chain_names:
         return None
     report = refit(record.model, record.recorded_runs)[1]
-    before, after = report["before_rms_mm"], report["after_held_out_rms_mm"]
-    return (
-        OwnMisfit(tuple(record.model.chain_names), before, after)
-        if after <= OWN_FALL * before
-        else None
-    )
+    if not report.doubts_model:
+        return None
+    names = tuple(record.model.chain_names)
+    return OwnMisfit(names, report.before_rms_mm, report.after_held_out_rms_mm)
 
 
 def _error_on(fit: Fit, other: Record) -> float:

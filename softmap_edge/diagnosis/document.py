@@ -12,7 +12,6 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -36,10 +35,8 @@ from softmap_edge.files.atomic import Document, read_document
 from softmap_edge.model.chain_labels import readings, valued
 from softmap_edge.model.learned_in import LearnedIn
 from softmap_edge.model.manifest import LARGEST
+from softmap_edge.model.model import Model
 from softmap_edge.model.parameter_layout import ranges_of
-
-if TYPE_CHECKING:
-    from softmap_edge.model.model import Model
 
 SCHEMA, BEFORE = "softmap.diagnosis/2", "softmap.diagnosis/1"
 VERDICTS = {
@@ -86,8 +83,8 @@ class Diagnosis:
     # effects that were present while the model was learned
     learned_in: tuple[LearnedIn, ...] = ()
     remarks: tuple[str, ...] = ()  # on the run itself: excluded data, and what it cannot show
-    # a Model; never None from `diagnose`
-    model: Any = field(default=None, repr=False)
+    # never None from `diagnose`
+    model: Model | None = field(default=None, repr=False)
 
     def to_dict(self) -> Document:
         """Return the document softmap.diagnosis/2."""
@@ -110,10 +107,9 @@ class Diagnosis:
                 f"not a diagnosis: schema is {schema!r}, {SCHEMA!r} is read; make it with "
                 "`softmap diagnose`"
             )
-        if schema == BEFORE:
-            document = dict(document) | {"alternatives": document.get("rivals", [])}
+        renewed = _in_present_words(document)
         found = read(
-            cls, {key: value for key, value in document.items() if key != "model"}, "diagnosis"
+            cls, {key: value for key, value in renewed.items() if key != "model"}, "diagnosis"
         )
         if found.verdict not in VERDICTS:
             raise ReportError(f"unknown verdict {found.verdict!r}; there are {', '.join(VERDICTS)}")
@@ -219,6 +215,25 @@ class Diagnosis:
         from softmap_edge.diagnosis.text import diagnosis_text
 
         return diagnosis_text(self.to_dict())
+
+
+def _in_present_words(document: Mapping[str, object]) -> Mapping[str, object]:
+    """Return a document of an earlier version with the words of this one.
+
+    Schema 1 has `rivals` in place of `alternatives`. An identified law was called `resolved`.
+    """
+    if document.get("schema") == BEFORE:
+        document = {**document, "alternatives": document.get("rivals", [])}
+    families = document.get("families")
+    if not isinstance(families, list):
+        return document
+    rows = [
+        {**row, "law": "identified"}
+        if isinstance(row, Mapping) and row.get("law") == "resolved"
+        else row
+        for row in families
+    ]
+    return {**document, "families": rows}
 
 
 def with_error(model: Model, entries: Sequence[Finding]) -> Model:

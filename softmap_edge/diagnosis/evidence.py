@@ -274,8 +274,8 @@ def ladder(
 ) -> Errors:
     """Return held-out errors (mm): model, static baseline, each effect, both; per fold.
 
-    They are from held-out blocks, or from an independent run `other` with the parameters and static
-    residual of the diagnosed run.
+    They are from held-out blocks, or from an independent run `other`. That run uses the parameters
+    and static residual of the diagnosed run.
     """
     problem, record = fits.problem, fits.problem.record
     steps = [fits.null, *(fits.get(order[: i + 1], split) for i in range(len(order)))]

@@ -1,8 +1,8 @@
 """Level 1 of a diagnosis: the families of effects, and their columns about a state.
 
-A family is a bank of columns X = (∂f/∂v_c) · b(t) about the effective command v(t), and of fields
-of the body. `representatives.py` fits them. The columns, the families and the normal equations are
-compiled (`rust/families/`). Pinned by tests/diagnosis/test_two_levels.py.
+A family is a bank of columns X = (∂f/∂v_c) · b(t) about the effective command v(t). Fields of the
+body are columns as well. `representatives.py` fits them. The columns, the families and the normal
+equations are compiled (`rust/families/`). Pinned by tests/diagnosis/test_two_levels.py.
 """
 
 from __future__ import annotations

@@ -72,7 +72,7 @@ def family_facts(row: Row, unit: str) -> list[str]:
     if number(row.get("moved_mm")) is not None:
         facts.append(f"{mm(row['moved_mm'])} {unit} RMS (fitted)")
     if number(row.get("law_share")) is not None:
-        which = "its law" if row.get("law") == "resolved" else "the best known law"
+        which = "its law" if row.get("law") == "identified" else "the best known law"
         facts.append(f"{which} explains {percent(row['law_share'])} of what the family can do")
     if others := [str(one) for one in row.get("alternatives") or []]:
         facts.append(f"cannot be distinguished here from: {', '.join(others)}")

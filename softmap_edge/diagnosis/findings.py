@@ -15,6 +15,7 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 
 from softmap_edge.errors import ReportError
 from softmap_edge.files.printable import one_line
+from softmap_edge.model.learned_in import Certainty
 from softmap_edge.run.conditions import Bin
 
 T = TypeVar("T")
@@ -124,15 +125,15 @@ class Alternative:
 class FamilyFinding:
     """A family of effects that was detected.
 
-    `law` is "resolved" (`effects` name it), "open" (`effects` and `generic` list laws that fit
-    equally well) or "unknown" (no known law explains as much as the family; `effects` holds the one
-    that explains most of it, if any). `share` is its share of the explained loss; `law_share` is
-    the part of that share that the best known law explains.
+    `law` is "identified" (`effects` name it), "open" or "unknown". If it is open, `effects` and
+    `generic` list laws that fit equally well. If it is unknown, no known law explains as much as
+    the family; `effects` holds the one that explains most of it, if any. `share` is its share of
+    the explained loss; `law_share` is the part of that share that the best known law explains.
     """
 
     name: str
     kind: str
-    law: str
+    law: Certainty
     effects: tuple[str, ...]
     share: float
     moved_mm: float
@@ -300,7 +301,8 @@ def _value(hint: object, value: object, where: str) -> Any:
     if origin is Literal:
         if value not in inner:
             raise ReportError(
-                f"damaged diagnosis: {where} is {value!r:.40}, expected one of {', '.join(inner)}"
+                f"damaged diagnosis: {where} is {value!r:.40}, expected one of "
+                f"{', '.join(inner)}; diagnose again"
             )
         return value
     if origin is tuple:

@@ -6,11 +6,11 @@ All steps use batched rollouts.
 
 x are scaled parameters: (θ - null) / range, or ln(θ / start) / half the log range for a log scale.
 The last term is a weak prior at the plausible range. Clipping and an active set enforce the bounds.
-A Jacobian is one batched call (forward differences, 0.4 % of the range: backlash and stops are not
-smooth below that). While steps reduce the objective as predicted, secants update it (Broyden 1965,
-doi:10.1090/S0025-5718-1965-0198670-6); a fit ends with a new one. Limit: blocked cross-validation
-refits each fold by one Gauss-Newton step from the full fit, of at most half a range. Pinned by
-tests/diagnosis/test_fit.py.
+A Jacobian is one batched call: forward differences of 0.4 % of the range. Below that, backlash and
+stops are not smooth. While steps reduce the objective as predicted, secants update it (Broyden
+1965, doi:10.1090/S0025-5718-1965-0198670-6). A fit ends with a new one. Limit: blocked
+cross-validation refits each fold by one Gauss-Newton step from the full fit. A step is at most half
+a range. Pinned by tests/diagnosis/test_fit.py.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ DAMPING = 1e-3  # of a Gauss-Newton step, of the curvature
 # factors tried with new slopes; the second group if none of the first is better
 DAMPINGS = ((1.0,), (0.05, 20.0, 400.0), (8e3, 1.6e5))
 SECANTS = 3  # least number of parameters for secant updates
-# of the predicted fall: a step with less, or with twice as much, needs new slopes
+# of the predicted fall: below it, or above twice of it, a step needs new slopes
 LINEAR = 0.5
 
 

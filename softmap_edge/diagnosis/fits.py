@@ -2,7 +2,7 @@
 
 Each has parameters, cross-validation, and the contribution of each member.
 
-A set is fitted from the best of a few starts of its newest member, with the other members at their
+A set is fitted from the best of a few starts of its newest member. The other members start at their
 values in a smaller set. Units: mm. Pinned by tests/diagnosis/test_fits.py.
 """
 

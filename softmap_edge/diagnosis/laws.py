@@ -1,10 +1,11 @@
 """Level 2 of a diagnosis: identify the law of a family, measured against the family's fit.
 
-The family's members are fitted on top of the effects found. Then follow pairs of members, the same
-law with a parameter for each channel, and, for static maps, generic laws, which are not effects. A
-law *reaches* if it leaves no more than the best of all, including the representative, up to one
-standard error or the tolerance of its form. If none reaches, the law is unknown; if a generic law
-with as few parameters does, it is open. Pinned by tests/diagnosis/test_two_levels.py.
+The family's members are fitted on top of the effects found. Then follow pairs of members, and the
+same law with a parameter for each channel. For static maps, generic laws follow, which are not
+effects. A law *reaches* if it leaves no more than the best of all, including the representative.
+One standard error, or the tolerance of its form, is allowed. If none reaches, the law is unknown.
+If a generic law with as few parameters reaches, it is open. Pinned by
+tests/diagnosis/test_two_levels.py.
 """
 
 from __future__ import annotations
@@ -75,9 +76,10 @@ class Law:
 class Answer:
     """The result of level 2 for a family.
 
-    `law` is the resolved law or a candidate. It is a candidate if the law is `open` because generic
-    laws fit as well, or if no law reaches but one explains most of the family's fall. Without a law
-    the representative stays. `equals` are members that reach with as few parameters.
+    `law` is the identified law or a candidate. It is a candidate if the law is `open` because
+    generic laws fit as well. It is also a candidate if no law reaches, but one explains most of the
+    family's fall. Without a law the representative stays. `equals` are members that reach with as
+    few parameters.
     """
 
     family: Family
@@ -90,8 +92,8 @@ class Answer:
     tried: tuple[Law, ...]
 
     @property
-    def resolved(self) -> bool:
-        """Whether one law of the library is resolved for the family."""
+    def identified(self) -> bool:
+        """Whether one law of the library is identified for the family."""
         return self.law is not None and not self.open and not self.rough
 
     @property
@@ -102,7 +104,7 @@ class Answer:
     @property
     def loss(self) -> Floats:
         """The held-out loss (folds,) of the family's law, else the least loss of the family."""
-        if self.resolved and self.law is not None:
+        if self.identified and self.law is not None:
             return self.law.loss
         return min((self.representative.loss, *(law.loss for law in self.reaching)), key=np.sum)
 
@@ -328,8 +330,8 @@ class _Asked:
     def _main(self, laws: list[Law], explained: float) -> Law | None:
         """Return the member that explains most of the family; its form may be inexact.
 
-        The model error of a rod is part of its noise; there, shares of a memory are too uncertain
-        for a candidate.
+        The model error of a rod is part of its noise. Shares of a memory are then too uncertain for
+        a candidate.
         """
         if self.representative.family.kind not in MANY_LAWS and self.body.record.error_is_noise:
             return None

@@ -1,7 +1,8 @@
 """The state of a search: the families taken, their joint fit, and representatives.
 
-A resolved law joins the fit. A family without a law keeps its representative, whose contribution is
-subtracted from the measurement before the next fit. Pinned by tests/diagnosis/test_two_levels.py.
+An identified law joins the fit. A family without a law keeps its representative. Its contribution
+is subtracted from the measurement before the next fit. Pinned by
+tests/diagnosis/test_two_levels.py.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ class Outcome:
     @property
     def open(self) -> int:
         """The number of families without a law."""
-        return sum(not step.answer.resolved for step in self.steps)
+        return sum(not step.answer.identified for step in self.steps)
 
     @property
     def left(self) -> float:
@@ -95,7 +96,7 @@ def held_out_loss(outcome: Outcome) -> Floats:
         if state.background
         else [state]
     )
-    open_ = [step.family for step in outcome.steps if not step.answer.resolved]
+    open_ = [step.family for step in outcome.steps if not step.answer.identified]
     loss = min((ranked(way, open_, open_).before for way in ways), key=np.sum)
     for step in outcome.steps:
         if step.answer.law is not None:

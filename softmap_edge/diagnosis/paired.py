@@ -2,20 +2,20 @@
 
     seen'(t) = seen(t) - [reference(t + s) - model(reference)(t + s)]
 
-The model error on the reference at the same point of the replay (same command, same history) is
-subtracted from the measurement. So the model error cancels, and so does every effect common to both
-runs. The reference is interpolated linearly; s is the time shift at which the commands agree. Of
-several references, the one with the closest commands is used. Effects of the model that the
-reference lacks (a weight found relative to it) are left out of model(reference). They make the
+The measurement is reduced by the model error on the reference at the same point of the replay.
+There, command and history are the same. So the model error cancels, and so does every effect common
+to both runs. The reference is interpolated linearly; s is the time shift at which the commands
+agree. Of several references, the one with the closest commands is used. Effects that the reference
+lacks, such as a weight found relative to it, are left out of model(reference). They make the
 reference worse and the run better. Remaining uncertainty:
-- the camera: the noise of a difference, twice that of one run where frames coincide, follows from
-  the replicates;
-- a table: KEPT of its model-form error, plus the part from another gravity or load. If an effect
-  moves the effective command by 1-2 of 32 mm, an error that varies over 0.4 of the range changes by
-  about a sixth;
-- a rod, whose stated error is mostly poor repeatability: per feature 2·(var a - cov(a, b)) of the
-  residuals a of the reference and b of the run, twice the part that they do not share.
-Units: those of the commands, mm, s. Limits: an effect in both runs is not detected; one that acts
+- the camera: the noise of a difference, twice that of one run where frames coincide. It follows
+  from the replicates;
+- a table: KEPT of its model-form error, plus the part from another gravity or load. An effect may
+  move the effective command by 1-2 of 32 mm. An error that varies over 0.4 of the range then
+  changes by about a sixth;
+- a rod, whose stated error is mostly poor repeatability: per feature 2·(var a - cov(a, b)). a and b
+  are the residuals of the reference and of the run; it is twice the part that they do not share.
+Units: those of the commands, mm, s. Limits: an effect in both runs is not detected. One that acts
 on top of another (more load on a softened body) is detected to first order. Pinned by
 tests/diagnosis/test_paired.py and tests/rod/test_trunk.py.
 """

@@ -14,7 +14,7 @@ from softmap_edge.diagnosis.findings import Untestable
 from softmap_edge.diagnosis.fit import Problem
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.errors import SoftmapError, no_effect
-from softmap_edge.model.effect_info import registry
+from softmap_edge.model.effect_info import EffectInfo, registry
 from softmap_edge.noise.memoryless import repeats_of
 from softmap_edge.noise.noise_model import (
     Noise,
@@ -56,73 +56,61 @@ def candidates_of(
     lawless = [n for n in names if known[n].role == "prior" and record.model.missing_for(n)]
     if requested is None:  # a law that the prior lacks is not a candidate, unless requested
         names = [n for n in names if n not in lawless]
-    impossible = []
-    for name in names:
-        missing = record.missing(known[name].needs)
-        if record.model.channels == 0 and (
-            known[name].on_commands or not record.layout((name,)).labels
-        ):
-            impossible.append(
-                Untestable(name, "nothing is commanded in this run", "a run with commands", 1.0)
-            )
-        elif known[name].needs_time and any(run.timeless for run in record.recorded_runs):
-            impossible.append(
-                Untestable(
-                    name, "the log has no time", "the same moves, the time of each row logged", 1.0
-                )
-            )
-        elif not record.layout((name,)).labels:
-            why = f"it is between channels, and the model has {record.model.channels}"
-            impossible.append(Untestable(name, why, "a robot of more channels", of_model=True))
-        elif name in lawless:
-            why = "the model has no such law to change: its tendons do not push, or it has none"
-            impossible.append(
-                Untestable(
-                    name, why, "a model learned with a robot.toml whose tendons push", of_model=True
-                )
-            )
-        elif record.model.missing_for(name):
-            why = "a model with the geometry of the body is needed"
-            impossible.append(
-                Untestable(
-                    name, why, "a model built from a finger.toml by this version", of_model=True
-                )
-            )
-        elif name == "twist" and not record.roll_seen:
-            why = "clouds of a round finger do not show what it does about its own axis"
-            impossible.append(
-                Untestable(name, why, "the same moves with markers or a texture on the finger", 1.0)
-            )
-        elif missing:
-            block, minutes = known[name].experiment
-            absent = ", ".join(missing)
-            impossible.append(
-                Untestable(
-                    name,
-                    f"the run does not declare {absent}",
-                    f"{block}; {absent} declared",
-                    minutes,
-                )
-            )
-    if (
-        record.model.kind == "rod"
-        and {"gravity", "payload"} <= set(names)
-        and orientations(record.state.gravity) == 1
-    ):
-        # A rod's fields bend its own centreline by one unknown compliance. Its weight and a tip
-        # load differ by less than its model-form error, and a tilt of gravity is an offset. The
-        # simpler member represents the family.
+    reasons = [_impossible(record, known[name], name in lawless) for name in names]
+    impossible = [reason for reason in reasons if reason is not None]
+    if {"gravity", "payload"} <= set(names) and _rod_in_one_orientation(record):
         block, minutes = known["gravity"].experiment
-        impossible.append(
-            Untestable(
-                "gravity",
-                "in one orientation a rod cannot distinguish it from payload",
-                block,
-                minutes,
-            )
-        )
-    out = {h.name for h in impossible}
+        why = "in one orientation a rod cannot distinguish it from payload"
+        impossible.append(Untestable("gravity", why, block, minutes))
+    out = {one.name for one in impossible}
     return [n for n in names if n not in out], impossible
+
+
+def _impossible(record: Record, effect: EffectInfo, lawless: bool) -> Untestable | None:
+    """Return why a run or a model cannot show an effect at all, if so.
+
+    Args:
+        record: the model and its run.
+        effect: the effect.
+        lawless: whether the prior has no such law to change.
+    """
+    name, channels = effect.name, record.model.channels
+    if channels == 0 and (effect.on_commands or not record.layout((name,)).labels):
+        return Untestable(name, "nothing is commanded in this run", "a run with commands", 1.0)
+    if effect.needs_time and any(run.timeless for run in record.recorded_runs):
+        remedy = "the same moves, the time of each row logged"
+        return Untestable(name, "the log has no time", remedy, 1.0)
+    if not record.layout((name,)).labels:
+        why = f"it is between channels, and the model has {channels}"
+        return Untestable(name, why, "a robot of more channels", of_model=True)
+    if lawless:
+        why = "the model has no such law to change: its tendons do not push, or it has none"
+        remedy = "a model learned with a robot.toml whose tendons push"
+        return Untestable(name, why, remedy, of_model=True)
+    if record.model.missing_for(name):
+        why = "a model with the geometry of the body is needed"
+        remedy = "a model built from a finger.toml by this version"
+        return Untestable(name, why, remedy, of_model=True)
+    if name == "twist" and not record.roll_seen:
+        why = "clouds of a round finger do not show what it does about its own axis"
+        remedy = "the same moves with markers or a texture on the finger"
+        return Untestable(name, why, remedy, 1.0)
+    if missing := record.missing(effect.needs):
+        block, minutes = effect.experiment
+        absent = ", ".join(missing)
+        why = f"the run does not declare {absent}"
+        return Untestable(name, why, f"{block}; {absent} declared", minutes)
+    return None
+
+
+def _rod_in_one_orientation(record: Record) -> bool:
+    """Whether the weight of a rod and a load at its tip cannot be distinguished.
+
+    A rod's fields bend its own centreline by one unknown compliance. Its weight and a tip load
+    differ by less than its model-form error. A tilt of gravity is an offset. The simpler member
+    represents the family.
+    """
+    return record.model.kind == "rod" and orientations(record.state.gravity) == 1
 
 
 def problem_of(

@@ -65,7 +65,7 @@ class Record:
     ) -> None:
         """Bind a model to a run.
 
-        With a `reference` of the same commands (one of several), the model error on it is
+        A `reference` has the same commands; several may be given. The model error on it is
         subtracted from the measurement.
         """
         adapted = model.residual is not None
@@ -190,7 +190,7 @@ class Record:
 
     def missing(self, required: Sequence[str]) -> list[str]:
         """Return the fields that an effect needs and the run does not declare."""
-        return [name for name in required if getattr(self.run, name, None) is None]
+        return [name for name in required if getattr(self.run, name) is None]
 
     # --- predictions ----------------------------------------------------------------------------
 

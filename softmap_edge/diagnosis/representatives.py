@@ -1,6 +1,6 @@
 """Representatives of families: fitted freely, linearised about themselves, ranked.
 
-A representative is the columns of a family (`families.py`) with coefficients from a ridge
+A representative is the columns of a family (`families.py`) with coefficients. They are from a ridge
 regression on the whitened residual. Cross-validation gives the ridge strength and the fall of the
 held-out loss. Known limit: a representative is linear about the state; it is linearised again until
 its loss stops falling. Pinned by tests/diagnosis/test_two_levels.py.
@@ -239,8 +239,8 @@ def ranked(
 ) -> Ranking:
     """Fit each family about a state, together with the families of found laws.
 
-    The form of a found law may be inexact. Only families that explain at least a share `within` of
-    the best one's fall, on training frames, are cross-validated.
+    The form of a found law may be inexact. Only families that explain at least `within` of the best
+    one's fall on training frames are cross-validated.
     """
     body, level = state.body, state.body.level()
     names, ridges = state.blocks(level)

@@ -1,6 +1,6 @@
 """The two-level search: families one after another, then all again together.
 
-Each family has a law if one is resolved.
+Each family has a law if one is identified.
 
     rank families about the state -> accept the best -> find the laws of those near it ->
     take one -> repeat
@@ -150,7 +150,7 @@ def _next(
     first, *rest = sorted(
         answers,
         key=lambda a: (
-            not a.resolved,
+            not a.identified,
             _beaten(a, answers),
             acceptance.order_of(a.family),
             a.numbers,
@@ -165,7 +165,7 @@ def _split(answer: Answer, state: State, fits: Fits) -> Answer:
     law, body = answer.law, state.body
     if (
         law is None
-        or not answer.resolved
+        or not answer.identified
         or law.split
         or not acceptance.stands_out(law.loss, body, laws=True)
     ):
@@ -258,9 +258,9 @@ def _beaten(one: Answer, others: Sequence[Answer]) -> bool:
 
     Nor does it decide between families without a law that have different inputs.
     """
-    laws = [a for a in others if a.resolved and a.numbers <= one.numbers]
-    if not one.resolved:
-        laws += [a for a in others if not a.resolved and a.family.kind != one.family.kind]
+    laws = [a for a in others if a.identified and a.numbers <= one.numbers]
+    if not one.identified:
+        laws += [a for a in others if not a.identified and a.family.kind != one.family.kind]
     return any(seen_to_fall(difference(one.loss, law.loss)) for law in laws)
 
 

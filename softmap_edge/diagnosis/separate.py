@@ -3,7 +3,7 @@
 Each family declares an experiment (`rust/families/`) that varies an input of this family only. Of
 two families, the one with the more specific input is varied: a declared condition before time, time
 before the command history. Of two families of one kind, it is the one declared later. So two speeds
-separate delay from backlash, a repeat after a rest separates creep from time, and two orientations
+separate delay from backlash, and a repeat after a rest separates creep from time. Two orientations
 separate a load from the shape at rest. Pinned by tests/diagnosis/test_separate.py.
 """
 

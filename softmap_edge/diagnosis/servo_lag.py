@@ -2,11 +2,11 @@
 
 They act between command and encoder, if a run has both.
 
-Each channel is a separate model whose shape is the command itself: command → chain of command
-effects → encoder. So the search for missing effects also finds those of the servo. A delay found
-here belongs to the servo, not to the tendon or the camera. Units: those of the command, s. Limits:
-a channel has one value per sample; at most THINNED samples, evenly spread, are used. Effects after
-the encoder are not visible. Pinned by tests/diagnosis/test_servo.py.
+Each channel is a separate model whose shape is the command: command → chain of command effects →
+encoder. So the search for missing effects also finds those of the servo. A delay found here belongs
+to the servo, not to the tendon or the camera. Units: those of the command, s. Limits: a channel has
+one value per sample; at most THINNED samples, evenly spread, are used. Effects after the encoder
+are not visible. Pinned by tests/diagnosis/test_servo.py.
 """
 
 from __future__ import annotations

@@ -2,24 +2,24 @@
 
 A learned model was fitted to its runs. Its static map contains the static effects present then, so
 these runs show no static effect. `softmap learn` also adds the memory that it finds to the chain
-(`Model.learned_in`); with --static it leaves all memory to the diagnosis. That memory has distorted
-the static map, so each law is fitted with the map solved again (`Record.remapped`,
+(`Model.learned_in`). With --static it leaves all memory to the diagnosis. That memory has distorted
+the static map. So each law is fitted with the map solved again (`Record.remapped`,
 `families.State`). Pinned by tests/diagnosis/test_taught.py.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from softmap_edge import _core
+from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.diagnosis.families import families
 from softmap_edge.diagnosis.findings import FamilyFinding, Finding, NextBlock, Untestable
 from softmap_edge.diagnosis.record import Record
-from softmap_edge.files.atomic import Document
 from softmap_edge.run.conditions import orientations
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ class TaughtRuns:
     Runs are numbered from 1; it also holds whether --static was used, and the map.
 
     A polynomial is a `free` map that follows any static effect. The rod of a `robot.toml` follows
-    few of them, so static effects show even in the runs that taught it.
+    few of them. So static effects show even in its training runs.
     """
 
     runs: tuple[int, ...] = ()
@@ -128,20 +128,18 @@ class TaughtRuns:
         )
 
 
-def with_unknown(model: Model, values: Document, teacher: TaughtRuns) -> Document:
-    """Return changes to a diagnosis without names, if `learn` detected memory without a law.
+def with_unknown(model: Model, found: Diagnosis, teacher: TaughtRuns) -> Diagnosis:
+    """Add to a diagnosis without names the memory without a law that `learn` detected, if any.
 
-    The error of a learned model is part of its noise, and such a memory is part of this error. In
+    The error of a learned model is part of its noise. Such a memory is part of this error. In
     training runs, a family found with a fixed map does not count: `learn` solved the map again with
     each family.
     """
     unknown = next((one for one in model.learned_in if not one.name), None)
-    silent = values["verdict"] in ("nothing", "cannot_tell")
-    lawless = (
-        values["verdict"] == "partly_explained" and not values["effects"] and not values["faults"]
-    )
+    silent = found.verdict in ("nothing", "cannot_tell")
+    lawless = found.verdict == "partly_explained" and not found.effects and not found.faults
     if unknown is None or not (silent or (lawless and teacher.all)):
-        return {}
+        return found
     kinds, before, after = {f.name: f.kind for f in families()}, unknown.before_mm, unknown.after_mm
     moved = float(np.sqrt(max(0.0, before**2 - after**2)))
     others = tuple(dict.fromkeys(one.family for one in unknown.alternatives))
@@ -157,6 +155,6 @@ def with_unknown(model: Model, values: Document, teacher: TaughtRuns) -> Documen
     sentence = (
         f"An unknown law of the family {unknown.family}, {moved:.2f} mm RMS, was detected while "
         "the model was learned; the model does not contain "
-        f"it.{' ' + values['sentence'] if silent else ''}"
+        f"it.{' ' + found.sentence if silent else ''}"
     )
-    return {"verdict": "partly_explained", "families": (family,), "sentence": sentence}
+    return replace(found, verdict="partly_explained", families=(family,), sentence=sentence)

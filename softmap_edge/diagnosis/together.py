@@ -1,7 +1,7 @@
 """Fit laws of different families at once if the stepwise search leaves one open.
 
-The laws replace the stepwise result only if they leave far less, or no more with more families
-resolved. Pinned by tests/diagnosis/test_two_levels.py.
+The laws replace the stepwise result if they leave far less. They also do if they leave no more, and
+more families are identified. Pinned by tests/diagnosis/test_two_levels.py.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def _reconsidered(outcome: Outcome, few: Iterable[Law], more: More, visible: flo
     excluded = _excluded_by(outcome)
     if (
         len(steps) == 1
-        and steps[0].answer.resolved
+        and steps[0].answer.identified
         and not steps[0].others
         and outcome.left <= rule.LEFT
     ):
@@ -213,7 +213,7 @@ def _stands_for(other: Outcome, outcome: Outcome) -> bool:
     kinds, known = ({_kind(step.family) for step in one.steps} for one in (other, outcome))
     if kinds != known and rule.leaves_cause(other.loss, outcome.loss, outcome.body.problem.numbers):
         return False
-    if any(_changes(step.family) and not step.answer.resolved for step in outcome.steps):
+    if any(_changes(step.family) and not step.answer.identified for step in outcome.steps):
         known |= {_kind(family) for family in families() if family.kind in ("time", "condition")}
     explained = float(outcome.null.sum() - outcome.loss.sum())
     # a family without a law also explains the model-form error of another law
@@ -258,7 +258,7 @@ def _confirmed(few: Law, outcome: Outcome, visible: float, together: bool) -> Ou
             answer is None
             or answer.law is None
             or answer.law.fit is None
-            or not (answer.resolved or answer.open)
+            or not (answer.identified or answer.open)
         ):
             return None
         moved = body.record.rms_mm(plain.displacement(answer.law.fit, answer.law.effects[0]))
@@ -364,8 +364,8 @@ def _few_laws(outcome: Outcome) -> Iterator[Law]:
 def _best_singles(null: State, fits: Fits, before: Floats) -> dict[Family, Law]:
     """Return families with their best laws, by loss, best first.
 
-    Families are searched in the order of their fall, until a law would have to explain far more
-    than its family. Another law of the family may replace it in the end.
+    Families are searched in the order of their fall. The search ends where a law would have to
+    explain far more than its family. Another law of the family may replace it in the end.
     """
     total = float(before.sum())
     laws: list[Law] = []

@@ -150,7 +150,7 @@ def _found(
     settled = [
         f.name
         for f in physics
-        if not any(f.name in g.effects and g.law != "resolved" for g in families)
+        if not any(f.name in g.effects and g.law != "identified" for g in families)
     ]
     if settled:
         parts.append(f"the model lacks {' + '.join(settled)}")

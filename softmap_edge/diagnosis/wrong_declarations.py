@@ -23,9 +23,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.records import record_of
-from softmap_edge.files.atomic import Document
 
 if TYPE_CHECKING:
     from softmap_edge.run.run import Run
@@ -39,35 +39,31 @@ WORSE = 0.8  # of the held-out error: most that other signs may leave
 SIGNS = tuple(signs for signs in product((1.0, -1.0), repeat=3) if min(signs) < 0)
 
 
-def strange(document: Document, loaded: bool = False) -> bool:
+def strange(found: Diagnosis, loaded: bool = False) -> bool:
     """Return whether gravity is implausible in a diagnosis; runs may declare a load or not.
 
-    It is implausible if its parameters end at their bounds, or if the unexplained error depends on
-    the orientation. It is also implausible if a dead load leaves most of the error or has no law of
-    the library, or if an effect was found in a run that declares a load.
+    It is implausible if its parameters end at their bounds. It is so if the unexplained error
+    depends on the orientation. It is so if a dead load leaves most of the error, or has no law of
+    the library. It is also so if a run that declares a load shows any effect.
     """
     at_bound = any(
-        entry["name"] == "gravity" and any(p["at_bound"] for p in entry["params"].values())
-        for entry in document["effects"]
+        entry.name == "gravity" and any(p.at_bound for p in entry.params.values())
+        for entry in found.effects
     )
-    left = document["verdict"] == "partly_explained" and "orientation" in str(
-        document["unexplained"]["predicted_by"]
-    )
+    left, error = found.unexplained, found.error
+    turned = found.verdict == "partly_explained" and "orientation" in str(left.predicted_by)
     weights = {"gravity", "payload"} & {
-        *(e["name"] for e in document["effects"]),
-        *document["made_from"]["demoted"],
+        *(entry.name for entry in found.effects),
+        *found.made_from["demoted"],
     }
-    error = document["error"]
-    after = error["ladder"][-1]["value"] if error["ladder"] else error["model"]
     poor = (
         (loaded or bool(weights))
-        and after > POOR * error["model"]
-        and document["unexplained"]["chi2_per_n"] > MUCH
+        and error.after > POOR * error.before
+        and left.chi2_per_n is not None
+        and left.chi2_per_n > MUCH
     )
-    lawless = any(
-        family["name"] == "load" and family["law"] != "resolved" for family in document["families"]
-    )
-    return at_bound or left or poor or lawless or (loaded and document["verdict"] != "nothing")
+    lawless = any(family.name == "load" and family.law != "identified" for family in found.families)
+    return at_bound or turned or poor or lawless or (loaded and found.verdict != "nothing")
 
 
 def wrong_sign(record: Record, error: float, again: Callable[[Sequence[Run]], float]) -> str | None:

@@ -20,8 +20,9 @@ from softmap_edge import _core
 from softmap_edge.checks.lost_points import without_lost
 from softmap_edge.checks.summary import summary
 from softmap_edge.comparison.comparison import compare, model_digest
-from softmap_edge.diagnosis.diagnose import diagnose, refit
+from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.diagnosis.document import Diagnosis
+from softmap_edge.diagnosis.refit import refit
 from softmap_edge.errors import LabError, SoftmapError
 from softmap_edge.experiment.choose import next_experiment
 from softmap_edge.files.atomic import Document, write_atomically
@@ -239,12 +240,12 @@ class Session:
         for number, one in enumerate(self.runs):
             try:
                 found = summary(one.run, model)
-                if found["not_seen"]:
+                if found.not_seen:
                     self._hide_lost(number)
-                lines = [*found["not_seen"], *filter(None, [found["unanswered"]])]
+                lines = [*found.not_seen, *filter(None, [found.unanswered])]
                 faults += [f"{one.name}: {line}" for line in lines]
-                remarks += [f"{one.name}: {line}" for line in found["warnings"]]
-                remarks += [f"{one.name}: {word['text']}" for word in found["cannot_tell"]]
+                remarks += [f"{one.name}: {line}" for line in found.warnings]
+                remarks += [f"{one.name}: {word.text}" for word in found.cannot_tell]
             except SoftmapError as fault:
                 faults.append(f"{one.name}: {fault}")
         with self._lock:
@@ -306,7 +307,7 @@ class Session:
         """Fit effects to the first run, from these parameters; return a report."""
         self._require_check("a fit")
         model, report = refit(self.with_effects(names, params), self.runs[0].run)
-        return report | {"values": model.params}
+        return report.to_dict() | {"values": model.params}
 
     def accept(self, names: Sequence[str], params: Mapping[str, float]) -> None:
         """Accept a chain of effects with all their parameters."""

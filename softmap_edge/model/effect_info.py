@@ -17,8 +17,9 @@ class Parameter:
 
     `per_channel`, `per_cable` and `per_pair` state what has a separate number; `shared` numbers are
     equal unless split. If the data require it, a fit exceeds `high`: up to `half_ranges` of the
-    command, or up to the weight that displaces the body by so many of its `lengths`. An `instant`
-    is a time of the run, in seconds.
+    command, or up to the weight that displaces the body by so many of its `lengths`. While a static
+    map is fitted as well, `high` is `map_half_ranges` of the command, or `map_high`, unless both
+    are 0. An `instant` is a time of the run, in seconds.
     """
 
     name: str
@@ -37,6 +38,8 @@ class Parameter:
     per_pair: bool = False
     half_ranges: float = 0.0
     lengths: float = 0.0
+    map_half_ranges: float = 0.0
+    map_high: float = 0.0
 
 
 @dataclass(frozen=True)

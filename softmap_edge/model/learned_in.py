@@ -14,7 +14,7 @@ from typing import Literal, get_args
 from softmap_edge.errors import SoftmapError
 from softmap_edge.files.atomic import Document
 
-Law = Literal["identified", "ambiguous", "open", "unknown"]
+Certainty = Literal["identified", "ambiguous", "open", "unknown"]
 MOST = 32  # records, numbers or alternatives in a list
 LONGEST = 100  # characters of a name
 LARGEST = 1e9
@@ -63,7 +63,7 @@ class LearnedIn:
 
     name: str
     family: str
-    law: Law
+    law: Certainty
     before_mm: float
     after_mm: float
     params: tuple[LearnedNumber, ...] = ()
@@ -100,10 +100,10 @@ class LearnedIn:
             SoftmapError: a key is unknown or missing, or a value has the wrong type or range.
         """
         values = _checked(cls, document)
-        if values["law"] not in get_args(Law):
+        if values["law"] not in get_args(Certainty):
             raise SoftmapError(
                 f"learned_in: law is {values['law']!r:.40}, expected one of "
-                f"{', '.join(get_args(Law))}"
+                f"{', '.join(get_args(Certainty))}"
             )
         values["params"] = tuple(
             LearnedNumber(**_checked(LearnedNumber, part)) for part in values["params"]
@@ -147,7 +147,7 @@ def _checked(kind: type, document: object) -> Document:
 
 _EXPECTED = {
     "str": f"a printable text of at most {LONGEST} characters",
-    "Law": f"a printable text of at most {LONGEST} characters",
+    "Certainty": f"a printable text of at most {LONGEST} characters",
     "float": f"a number within ±{LARGEST:g}",
     "bool": "true or false",
 }
@@ -161,6 +161,6 @@ def _fits(value: object, of: str) -> bool:
         if isinstance(value, bool) or not isinstance(value, int | float):
             return False
         return abs(value) <= LARGEST
-    if of in ("str", "Law"):
+    if of in ("str", "Certainty"):
         return isinstance(value, str) and len(value) <= LONGEST and value.isprintable()
     return isinstance(value, list | tuple) and len(value) <= MOST

@@ -1,11 +1,11 @@
 """Folds of a rod's cross-validation: time blocks whose commands also occur in other parts.
 
 A recording of one or two sweeps visits each command once or twice. A long block then holds all
-frames of its commands, and its error measures the extrapolation of a polynomial, not its accuracy.
-So blocks and the gaps next to them are halved until the rest covers them, by the leverage of the
-terms of the fitted map (`model/coverage.py`). The few uncovered frames are not tested: one of them
-can outweigh all others, and a diagnosis excludes such frames. If squares replace too many terms,
-all frames are tested. Long recordings keep the given blocks. Pinned by
+frames of its commands. Its error measures how a polynomial extrapolates, not how accurate it is. So
+blocks and the gaps next to them are halved until the rest covers them. Coverage is the leverage of
+the terms of the fitted map (`model/coverage.py`). The few uncovered frames are not tested: one of
+them can outweigh all others. A diagnosis excludes such frames as well. If squares replace too many
+terms, all frames are tested. Long recordings keep the given blocks. Pinned by
 tests/rod/test_learned_memory.py, tests/rod/test_pulled_rod.py and tests/rod/test_splined_rod.py.
 """
 

@@ -6,12 +6,13 @@ Several starts are used.
         x = the free parameters (`elastic.Coordinates`)
 
 Slopes are exact (rust/rod/elastic_slopes.rs). Held-out error: each fold is predicted by a refit
-without it. A fold is a part of the run's `block` labels (dealt in turn, so no fold holds all moves
-of one kind), else a block of time. The uncertainty is the larger of two: that of the linearised fit
-with independent frames, and the spread of those refits (jackknife), because neighbouring frames
-share the model-form error. A parameter is *not identified* by the run if it is less certain than a
-guess (`Kind.doubt`), or if it is less certain than a tenth of one and correlated with another
-(`TRADED`). tests/rod/test_elastic.py pins exact recovery, the folds, and the identified parameters.
+without it. A fold is a part of the run's `block` labels, else a block of time. Labels are dealt in
+turn, so no fold holds all moves of one kind. The uncertainty is the larger of two: of the
+linearised fit, and of those refits (jackknife). The first takes frames as independent, but
+neighbouring frames share the model-form error. A parameter is *not identified* by the run if it is
+less certain than a guess (`Kind.doubt`). If it is correlated with another (`TRADED`), a tenth of
+that is the limit. tests/rod/test_elastic.py pins exact recovery, the folds, and the identified
+parameters.
 """
 
 from __future__ import annotations
@@ -27,8 +28,10 @@ from softmap_edge.model.basis import Basis
 from softmap_edge.model.elastic_rod import Coordinates, ElasticRodArrays
 from softmap_edge.rod.covered_folds import search_folds
 from softmap_edge.rod.descent import Term, descend
-from softmap_edge.rod.memory import FRAMES, Memory, find_memory
-from softmap_edge.rod.reference_run import Fitted, FittedNumber, ReferenceFrames
+from softmap_edge.rod.fitted import Fitted, FittedNumber
+from softmap_edge.rod.memory.memory import Memory
+from softmap_edge.rod.memory.search import FRAMES, find_memory
+from softmap_edge.rod.reference_run import ReferenceFrames
 from softmap_edge.rod.static_map import StaticMap
 from softmap_edge.run.folds import Folds
 

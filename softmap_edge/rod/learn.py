@@ -3,14 +3,14 @@
 The fit takes seconds and needs only numpy and the core.
 
 Two rods (rust/rod/) turn commands into markers. If the robot's tendons are described (`robot.py`),
-it is the elastic one, fitted by `elastic_fit.py`; else a chain of chords whose bending angles are a
-polynomial (`polynomial.py`). With both, the memory of the robot during the runs is identified
-(`memory.py`): its law joins the chain by name, with its alternatives. `static` leaves it out. With
-an elastic rod only delays join; other memory is reported. Degree, ridge and law are those with the
-lowest error. Frames closer than `gap_s` to a block are not used to predict it. These few choices
-use the blocks of the stated error, so it is slightly low. Frames in `hold_out` are never used.
-tests/rod/test_rod.py, tests/rod/test_elastic.py and tests/rod/test_learned_memory.py pin exact
-recovery and the error on real data.
+it is the elastic one, fitted by `elastic_fit.py`. Else it is a chain of chords whose bending angles
+are a polynomial (`polynomial.py`). With both, the memory of the robot during the runs is identified
+(`memory/`). Its law joins the chain by name, and its alternatives are kept. `static` leaves it out.
+With an elastic rod only delays join; other memory is reported. Degree, ridge and law are those with
+the lowest error. Frames closer than `gap_s` to a block are not used to predict it. These few
+choices use the blocks of the stated error, so it is slightly low. Frames in `hold_out` are never
+used. tests/rod/test_rod.py, tests/rod/test_elastic.py and tests/rod/test_learned_memory.py pin
+exact recovery and the error on real data.
 """
 
 from __future__ import annotations
@@ -34,8 +34,9 @@ from softmap_edge.model.servo_calibration import from_home
 from softmap_edge.model.shapes import BundleArrays, PriorArrays
 from softmap_edge.model.structure import Structure
 from softmap_edge.rod.elastic_fit import fit_elastic, fit_for
+from softmap_edge.rod.fitted import Fitted, FittedNumber
 from softmap_edge.rod.polynomial import fit_polynomial
-from softmap_edge.rod.reference_run import Fitted, FittedNumber, ReferenceFrames, observe
+from softmap_edge.rod.reference_run import ReferenceFrames, observe
 from softmap_edge.rod.regression import rms
 from softmap_edge.run.folds import folds
 from softmap_edge.run.pieces import spans
@@ -69,8 +70,8 @@ class LearnedRod:
     describes each of them and its alternatives. `error_mm` is the blocked cross-validation RMS over
     all markers, `per_fold_mm` (blocks,), `per_marker_mm` (K,). `form_error` (K, 3) mm is its RMS by
     marker and axis. `residuals` (n, K, 3) mm (predicted − seen) are those at the `frames` of each
-    run, NaN where other blocks do not cover the command. `coverage` describes the commands of these
-    frames. `numbers` are the fitted numbers of an elastic rod; `notes` are warnings.
+    run. They are NaN where other blocks do not cover the command. `coverage` describes the commands
+    of these frames. `numbers` are the fitted numbers of an elastic rod; `notes` are warnings.
     """
 
     rod: RodArrays

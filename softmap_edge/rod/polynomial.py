@@ -4,7 +4,7 @@ The bending angles of its chords are a polynomial of the commands.
 
     v (rad) ≈ polynomial(q),   length (mm) ≈ quadratic(v),   q = (u_eff − centre)/scale
 
-If a command pulls one cable above 0 and another below, v may be a polynomial of max(q, 0) and
+A command may pull one cable above 0 and another below. v may then be a polynomial of max(q, 0) and
 max(−q, 0): a cable that becomes slack causes a kink there. Weights are found by ridge regression;
 penalty: n · ridge · RIDGE[degree of the monomial] on all weights but the intercept, n frames. Basis
 and ridge are those with the lowest cross-validation error (`regression.py`). Known limit: one
@@ -22,12 +22,15 @@ from softmap_edge.model.basis import SPLINE_DEGREE, SQUARES, Basis
 from softmap_edge.model.model import TIP_PER_NEWTON
 from softmap_edge.model.polynomial_rod import PolynomialRodArrays
 from softmap_edge.rod.covered_folds import covered_folds, search_folds
-from softmap_edge.rod.memory import FEW_CHANNELS, FRAMES, Memory, find_memory, refined_memory
-from softmap_edge.rod.reference_run import Fitted, ReferenceFrames
+from softmap_edge.rod.fitted import Fitted
+from softmap_edge.rod.memory.families import FEW_CHANNELS
+from softmap_edge.rod.memory.memory import Memory
+from softmap_edge.rod.memory.record import refined_memory
+from softmap_edge.rod.memory.search import FRAMES, find_memory
+from softmap_edge.rod.reference_run import ReferenceFrames
 from softmap_edge.rod.regression import RIDGE_STEPS, Regression, choose_basis
 from softmap_edge.rod.static_map import StaticMap
 from softmap_edge.run.fields import unmasked
-from softmap_edge.run.folds import Folds
 
 Floats = NDArray[np.float64]
 
@@ -56,8 +59,8 @@ def fit_polynomial(
     """
     parts, _ = covered_folds(seen, Basis(1), blocks, gap_s)
     bases = _bases(seen, min(len(train) for train, _ in parts), degree)
-    # Coverage uses the terms of the richest polynomial; for one command, or for many, squares,
-    # because no log covers all terms.
+    # Coverage uses the terms of the richest polynomial. For one command, or for many, it uses
+    # squares, because no log covers all terms.
     richest = (
         [b for b in bases if not b.intervals][-1]
         if 1 < seen.drive.channels <= FEW_CHANNELS
@@ -65,13 +68,7 @@ def fit_polynomial(
     )
     parts, gap_s = covered_folds(seen, richest, blocks, gap_s)
     fit = Regression(seen.markers, _base(base, seen.markers), parts)
-    memory = Memory()
-    if not static:
-        step = -(-len(seen.t) // FRAMES)
-        thinned = seen.every(step)
-        memory = _memory(
-            thinned, search_folds(thinned, richest), fit, seen.drive.commanded, bases, seed
-        )
+    memory = Memory() if static else _memory(seen, richest, fit, bases, seed)
     u = memory.acting(seen.drive)
     ridges = RIDGE_STEPS if seen.drive.channels > 1 else RIDGE_STEPS[:1]
     chosen, ridge = choose_basis(fit, u, bases, ridges)
@@ -133,18 +130,15 @@ def _bases(seen: ReferenceFrames, smallest: int, degree: int | None) -> tuple[Ba
 
 
 def _memory(
-    thinned: ReferenceFrames,
-    parts: Folds,
-    fit: Regression,
-    commanded: Floats,
-    bases: tuple[Basis, ...],
-    seed: int,
+    seen: ReferenceFrames, richest: Basis, fit: Regression, bases: tuple[Basis, ...], seed: int
 ) -> Memory:
     """Find the memory with the map of the commands alone, or with a richer form if that shows.
 
     Polynomials have the highest degree for few channels.
     """
-    chosen, ridge = choose_basis(fit, commanded, bases)
+    chosen, ridge = choose_basis(fit, seen.drive.commanded, bases)
+    thinned = seen.every(-(-len(seen.t) // FRAMES))
+    parts = search_folds(thinned, richest)
     plane = _plane(Regression(thinned.markers, fit.base, parts))
     most = max(chosen.degree, CUBIC if thinned.drive.channels <= FEW_CHANNELS else 1)
     forms = [
@@ -174,7 +168,7 @@ def _plane(fit: Regression) -> Floats:
 def _base(base: ArrayLike | None, markers: Floats) -> Floats:
     """Return the first chord's start: a given point, the origin, or far below an output.
 
-    Markers of constant height are outputs and do not bend: from far below, a chord's angle is
+    Markers of constant height are outputs and do not bend. From far below, a chord's angle is
     linear in them.
     """
     if base is None:

@@ -6,7 +6,7 @@ Frames are thinned and checked.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,17 +14,12 @@ from numpy.typing import NDArray
 
 from softmap_edge.checks.unseen_markers import unseen_markers
 from softmap_edge.errors import RunError
-from softmap_edge.files.atomic import Document
 from softmap_edge.files.printable import listed
-from softmap_edge.model.basis import SQUARES, Basis
 from softmap_edge.model.servo_calibration import from_home
 from softmap_edge.rod.regression import Drive, Record, rms
-from softmap_edge.run.folds import Folds
 from softmap_edge.run.run import Run, Source, known
 
 if TYPE_CHECKING:
-    from softmap_edge.model.polynomial_rod import RodArrays
-    from softmap_edge.rod.memory import Memory
     from softmap_edge.run.output import Output
 
 Floats = NDArray[np.float64]
@@ -32,32 +27,6 @@ Floats = NDArray[np.float64]
 SLOW = 0.25  # s between command samples above which delay and lag are not observable
 APART = 1000.0  # s between training runs: more than any gap next to a block
 STILL = 0.005  # of the robot's length: least motion of the markers about their mean
-
-
-@dataclass(frozen=True)
-class FittedNumber:
-    """A fitted number: `value` ± `sigma` (one standard deviation) in `unit`.
-
-    If it is not identified, `note` is the reason.
-    """
-
-    label: str
-    value: float
-    sigma: float
-    unit: str
-    at_bound: bool
-    note: str = ""
-
-    def to_dict(self) -> Document:
-        """Return it in document form, with six digits."""
-        return asdict(self) | {
-            "value": float(f"{self.value:.6g}"),
-            "sigma": float(f"{self.sigma:.3g}"),
-        }
-
-    def __str__(self) -> str:
-        text = f"{self.label:<14} {self.value:9.3f} ± {self.sigma:<8.3g} {self.unit:<6}"
-        return " ".join([text, "at its bound" if self.at_bound else "", self.note]).rstrip()
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,22 +112,6 @@ class ReferenceFrames:
             self.markers[kept],
             _drive(self.runs, self.source, frames),
         )
-
-
-@dataclass(frozen=True, eq=False)
-class Fitted:
-    """A rod, its memory, held-out residuals (n, K, 3) mm, and the folds that gave them.
-
-    `basis` has the terms for the coverage of commands.
-    """
-
-    rod: RodArrays
-    memory: Memory
-    residuals: Floats
-    parts: Folds
-    made_from: Document
-    numbers: tuple[FittedNumber, ...] = ()
-    basis: Basis = SQUARES
 
 
 def _refuse_unseen(runs: Sequence[Run]) -> None:

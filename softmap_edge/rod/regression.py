@@ -190,8 +190,8 @@ def choose_basis(
 ) -> tuple[Basis, float]:
     """Return the basis and the ridge with the lowest cross-validation error.
 
-    A richer form, pulls and then splines, must lower it by more than one standard error over the
-    folds. The ridge of splines is always chosen; it sets their smoothness.
+    A richer form, pulls and then splines, must lower it by more than one standard error. The ridge
+    of splines is always chosen; it sets their smoothness.
     """
     found: tuple[Floats, Basis, float] | None = None
     for form in sorted({(basis.intervals, basis.pulled) for basis in bases}):

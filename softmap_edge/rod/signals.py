@@ -1,8 +1,8 @@
 """Signals of the memory families, which `learn` may add to a static map.
 
 A *family* is everything that depends on the same history of the commands, whatever its law. The
-families, their signals and their members among the effects are declared in the core
-(rust/families/): plays, Dahl elements, shifts, poles, velocities, softening, time. The B-splines of
+core declares the families, their signals and their members among the effects (rust/families/).
+Signals are plays, Dahl elements, shifts, poles, velocities, softening and time. The B-splines of
 the command, which have no memory, are the control. Limit: one channel at a time; products of
 channels are left to the laws. Pinned by tests/model/test_families.py and
 tests/rod/test_learned_memory.py.

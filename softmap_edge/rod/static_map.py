@@ -4,13 +4,13 @@ This is variable projection.
 
     targets (n, q) ≈ base(v) + [1, terms(v)] W,   v = effective commands (n, C)
 
-Targets in mm represent the markers: chords turned into the plane, Σ length × angle over the chords
-below. Their squared error is about that of the markers. With a described rod they are the
-coordinates of the markers, and `base` is that rod. The *held-out loss* of a fold is the sum of
-squares over its frames, predicted from the other folds. Folds are contiguous because neighbouring
-frames are alike (`run/folds.py`). The search fits laws with the map's `ridge`, which is almost
-zero, and compares them at the ridge of the lowest held-out loss. Source: variable projection, Golub
-and Pereyra 1973, doi:10.1137/0710036. Pinned by tests/rod/test_learned_memory.py.
+Targets in mm represent the markers: chords turned into the plane (Σ length × angle of those below).
+Their squared error is about that of the markers. With a described rod they are the coordinates of
+the markers, and `base` is that rod. The *held-out loss* of a fold is its sum of squares, predicted
+from the other folds. Folds are contiguous because neighbouring frames are alike (`run/folds.py`).
+The search fits laws with the map's `ridge`, which is almost zero. It compares them at the ridge of
+the lowest held-out loss. Source: variable projection, Golub and Pereyra 1973, doi:10.1137/0710036.
+Pinned by tests/rod/test_learned_memory.py.
 """
 
 from __future__ import annotations

@@ -10,7 +10,8 @@ import pytest
 
 from softmap_edge import Run, builtin_model, effects, save_bundle
 from softmap_edge.checks.advice import advice, missing_data
-from softmap_edge.checks.summary import sentences, summary
+from softmap_edge.checks.summary import summary
+from softmap_edge.checks.summary_text import sentences
 from softmap_edge.cli import main
 from softmap_edge.files.numbers import WIDTH
 from softmap_edge.model.servo_calibration import ERRORS, Calibration
@@ -47,17 +48,15 @@ def short(**change):
 
 
 def answers(run):
-    return {
-        word["about"]: word for key in ("can_tell", "cannot_tell") for word in summary(run)[key]
-    }
+    return {word.about: word for word in (*summary(run).can_tell, *summary(run).cannot_tell)}
 
 
 def test_a_full_protocol_can_identify_everything():
     found = summary(full())
-    assert found["cannot_tell"] == [] and len(found["can_tell"]) == 9
-    assert "2 orientations" in answers(full())["orientation"]["text"]
+    assert found.cannot_tell == [] and len(found.can_tell) == 9
+    assert "2 orientations" in answers(full())["orientation"].text
     # √3 · 0.1
-    assert answers(full())["noise"]["text"].startswith("noise vs. effects: the noise is 0.17 mm")
+    assert answers(full())["noise"].text.startswith("noise vs. effects: the noise is 0.17 mm")
 
 
 def held(t):
@@ -96,9 +95,9 @@ def triangle(t):
 )
 def test_what_the_motion_cannot_identify_is_reported_with_a_remedy(command, about, words):
     run = full(command=command(standard_protocol().t))
-    words_about = [word for word in summary(run)["cannot_tell"] if word["about"] == about]
-    assert any(words in word["text"] for word in words_about), summary(run)["cannot_tell"]
-    assert all(word["remedy"] and word["minutes"] > 0 for word in words_about)
+    words_about = [word for word in summary(run).cannot_tell if word.about == about]
+    assert any(words in word.text for word in words_about), summary(run).cannot_tell
+    assert all(word.remedy and word.minutes > 0 for word in words_about)
 
 
 @pytest.mark.parametrize(
@@ -118,15 +117,15 @@ def test_what_the_motion_cannot_identify_is_reported_with_a_remedy(command, abou
 )
 def test_what_was_not_declared_or_seen_is_reported(change, about, words):
     found = answers(full(**change))[about]
-    assert not found["tells"] and words in found["text"]
+    assert not found.tells and words in found.text
 
 
 def test_few_frames_and_one_marker_are_reported():
     run = full()
-    assert "5 frames are too few" in answers(run.at(np.arange(5)))["frames"]["text"]
-    assert "30 frames leave too few" in answers(run.at(np.arange(30)))["frames"]["text"]
+    assert "5 frames are too few" in answers(run.at(np.arange(5)))["frames"].text
+    assert "30 frames leave too few" in answers(run.at(np.arange(30)))["frames"].text
     tip = full(markers=run.markers[:, :1], marker_rest=run.marker_rest[:1])
-    assert "one marker is seen" in answers(tip)["markers"]["text"]
+    assert "one marker is seen" in answers(tip)["markers"].text
 
 
 def smooth(t):
@@ -140,7 +139,7 @@ def smooth(t):
 
 def test_smooth_moves_of_many_channels_are_fast_and_slow():
     run = full(command=smooth(standard_protocol().t), command_unit="deg")
-    assert answers(run)["speed"]["tells"] and answers(run)["channels"]["tells"]
+    assert answers(run)["speed"].tells and answers(run)["channels"].tells
 
 
 @pytest.mark.parametrize("fastest", [None, 6.0])
@@ -160,11 +159,11 @@ def test_both_paces_of_the_standard_protocol_are_seen(fastest):
         markers=markers,
         temperature=None,
     )
-    assert answers(run)["speed"]["tells"], answers(run)["speed"]
+    assert answers(run)["speed"].tells, answers(run)["speed"]
     # though the robot was turned
-    assert not [note for note in summary(run)["warnings"] if "gap" in note]
+    assert not [note for note in summary(run).warnings if "gap" in note]
     still = replace(run, gravity=np.array([0.0, 0.0, 1.0]))
-    assert not fastest or any("t_seen has a gap" in note for note in summary(still)["warnings"])
+    assert not fastest or any("t_seen has a gap" in note for note in summary(still).warnings)
 
 
 def test_markers_on_the_base_are_counted_and_are_no_unknown_field():
@@ -172,7 +171,7 @@ def test_markers_on_the_base_are_counted_and_are_no_unknown_field():
         extra={"base_markers": np.zeros((standard_protocol().frames, 3, 3)), "wind": np.zeros(2)}
     )
     found = summary(run)
-    assert found["base_markers"] == 3 and found["unknown_fields"] == ["wind"]
+    assert found.base_markers == 3 and found.unknown_fields == ["wind"]
     assert any("3 markers on the base" in line for line in sentences(found))
 
 
@@ -183,7 +182,7 @@ def test_fields_that_our_own_commands_write_are_no_unknown_ones(name):
         "roll_seen": np.array(False),
     }
     found = summary(full(extra={name: held.get(name, np.array(["a"] * 12)), "wind": np.zeros(2)}))
-    assert found["unknown_fields"] == ["wind"] and "kept      wind (not known" in "\n".join(
+    assert found.unknown_fields == ["wind"] and "kept      wind (not known" in "\n".join(
         sentences(found)
     )
 
@@ -194,16 +193,16 @@ def test_check_and_diagnosis_agree_on_a_noise_that_is_declared_alone():
     """
     run = short(sigma=np.array(0.3))
     word = answers(run)["noise"]
-    assert word["remedy"] and word["minutes"] > 0
+    assert word.remedy and word.minutes > 0
     assert (
-        not word["tells"]
-        and "to estimate the noise; the declared 0.3 mm per coordinate is not used" in word["text"]
+        not word.tells
+        and "to estimate the noise; the declared 0.3 mm per coordinate is not used" in word.text
     )
-    assert any(word["text"] in remark for remark in missing_data([full(), run], 400, False))
-    assert "declares" not in answers(replace(run, sigma=None))["noise"]["text"]
+    assert any(word.text in remark for remark in missing_data([full(), run], 400, False))
+    assert "declares" not in answers(replace(run, sigma=None))["noise"].text
     assert (
         "too few repeated" not in str(missing_data([run], 400, True))
-        and answers(full(sigma=np.array(0.3)))["noise"]["tells"]
+        and answers(full(sigma=np.array(0.3)))["noise"].tells
     )
 
 
@@ -231,7 +230,7 @@ def test_a_changing_load_stands_for_a_second_orientation():
     run = full(
         gravity=np.array([0.0, 0, 1]), load=np.where(np.arange(len(full().t)) < 3000, 0.0, 10.0)
     )
-    assert answers(run)["orientation"]["tells"]
+    assert answers(run)["orientation"].tells
 
 
 def test_a_run_without_commands_says_so():
@@ -241,7 +240,7 @@ def test_a_run_without_commands_says_so():
         markers=np.random.default_rng(0).normal(size=(80, 4, 3)) * 20,
     )
     found = answers(still)
-    assert "nothing is commanded" in found["drive"]["text"] and "speed" not in found
+    assert "nothing is commanded" in found["drive"].text and "speed" not in found
     assert advice(still, 0)[0].tells
 
 
@@ -255,20 +254,20 @@ def test_the_text_is_for_a_terminal_and_adds_the_minutes_up(tmp_path, capsys):
     text = capsys.readouterr().out
     assert max(len(line) for line in text.splitlines() if str(tmp_path) not in line) <= WIDTH
     document = summary(Run.load(tmp_path / "run.npz"))
-    minutes = sum(word["minutes"] for word in document["cannot_tell"])
+    minutes = sum(word.minutes for word in document.cannot_tell)
     assert f"about {minutes:g} minutes" in text
     assert text.index("This run can identify") < text.index("This run cannot identify")
-    assert text.count("      > ") == len(document["cannot_tell"])
+    assert text.count("      > ") == len(document.cannot_tell)
     assert sentences(document)[-1] in text
 
 
 def test_points_far_from_the_base_are_reported_to_be_aligned():
     run = full()
-    assert not any("align" in note for note in summary(run)["warnings"])
+    assert not any("align" in note for note in summary(run).warnings)
     camera = full(markers=run.markers + [0, 0, 900.0])
-    assert any("softmap run align" in note for note in summary(camera)["warnings"])
+    assert any("softmap run align" in note for note in summary(camera).warnings)
     framed = full(markers=run.markers + [0, 0, 900.0], frame=np.eye(3, 4))
-    assert not any("align" in note for note in summary(framed)["warnings"])
+    assert not any("align" in note for note in summary(framed).warnings)
 
 
 @pytest.mark.parametrize("rate", [1.0, 5.0, 20.0])
@@ -280,14 +279,14 @@ def test_a_gap_in_the_frames_is_no_rest(rate, gap):
     t = t + gap * (np.arange(len(t)) >= len(t) // 2)
     points = np.random.default_rng(0).normal(size=(len(t), 3, 3)) + 5 * u[:, :1, None]
     rest = {
-        word["about"]: word["text"]
-        for word in summary(Run(t=t, command=u, t_seen=t, markers=points))["cannot_tell"]
+        word.about: word.text
+        for word in summary(Run(t=t, command=u, t_seen=t, markers=points)).cannot_tell
     }
     assert "it is seen to rest for" in rest["dwell"]
     u[(t > 10) & (t < 25)] = (11.0, 6.0)
     found = {
-        word["about"]: word["text"]
-        for word in summary(Run(t=t, command=u, t_seen=t, markers=points))["can_tell"]
+        word.about: word.text
+        for word in summary(Run(t=t, command=u, t_seen=t, markers=points)).can_tell
     }
     assert "it is seen to rest away from home for up to 1" in found["dwell"]
 
@@ -302,7 +301,7 @@ def test_visits_of_home_without_a_dwell_between_are_counted():
         t_seen=t[::4],
         markers=np.random.default_rng(0).normal(size=(300, 4, 3)) * 20,
     )
-    assert summary(run)["home_visits"] == 6
+    assert summary(run).home_visits == 6
 
 
 # --- with a model --------------------------------------------------------------------------
@@ -371,10 +370,10 @@ def test_a_calibrated_bundle_says_what_the_ticks_are(bundle, tmp_path, capsys):
         summary(reported, replace(builtin_model(), calibration=calibration)),
         summary(reported),
     )
-    assert with_it["hash"] == without["hash"] == reported.hash() and with_it["command_unit"] == "mm"
-    np.testing.assert_allclose(with_it["command_range"], summary(run)["command_range"], atol=0.003)
-    assert with_it["home_visits"] == summary(run)["home_visits"] > without["home_visits"]
-    assert any("only ticks are given" in line for line in without["missing"])
+    assert with_it.hash == without.hash == reported.hash() and with_it.command_unit == "mm"
+    np.testing.assert_allclose(with_it.command_range, summary(run).command_range, atol=0.003)
+    assert with_it.home_visits == summary(run).home_visits > without.home_visits
+    assert any("only ticks are given" in line for line in without.missing)
 
 
 def test_effects_that_a_poor_run_cannot_show_are_named_with_the_experiment(

@@ -9,7 +9,8 @@ from logs import ROOT
 from softmap_edge import Run
 from softmap_edge.checks.advice import missing_data
 from softmap_edge.checks.collinear import collinear_conditions, tied_channels
-from softmap_edge.checks.summary import sentences, summary
+from softmap_edge.checks.summary import summary
+from softmap_edge.checks.summary_text import sentences
 from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.logs.guess import guess_mapping
 from softmap_edge.logs.importer import import_logs, read_mapping
@@ -96,9 +97,9 @@ def test_load_voltage_and_orientation_are_tested_too():
 
 def test_check_reports_them():
     document = summary(run(temperature=CONFOUNDED["in proportion"]))
-    assert [c["condition"] for c in document["collinear"]] == ["temperature"]
+    assert [c.condition for c in document.collinear] == ["temperature"]
     assert any("warm up and cool down" in line for line in sentences(document))
-    assert summary(run())["collinear"] == []
+    assert summary(run()).collinear == []
 
 
 # --- channels -----------------------------------------------------------------------------------
@@ -166,18 +167,15 @@ def test_check_and_diagnose_say_what_is_tied():
     command = np.interp(P.t, np.arange(0.0, 60.0, 0.05) * SPAN / 60.0, tendons(1)[:, 0])
     other = np.interp(P.t, np.arange(0.0, 60.0, 0.05) * SPAN / 60.0, tendons(1)[:, 1])
     tied = run(command=np.stack([command, other, -command - other], axis=1))
-    poor = [w for w in summary(tied)["cannot_tell"] if w["about"] == "channels"]
+    poor = [w for w in summary(tied).cannot_tell if w.about == "channels"]
     assert (
-        len(poor) == 1
-        and "channels 0, 1, 2 add up to 0 (2 of 3 directions move)" in poor[0]["text"]
+        len(poor) == 1 and "channels 0, 1, 2 add up to 0 (2 of 3 directions move)" in poor[0].text
     )
     assert any("channels 0, 1, 2 add up" in text for text in missing_data([tied], P.frames, True))
 
 
 def about_channels(command):
-    return [
-        w["text"] for w in summary(run(command=command))["cannot_tell"] if w["about"] == "channels"
-    ]
+    return [w.text for w in summary(run(command=command)).cannot_tell if w.about == "channels"]
 
 
 def free(count, seed=5):
@@ -193,10 +191,10 @@ def test_a_log_of_three_tendons_that_add_up_to_zero(tmp_path):
     (tmp_path / "map.toml").write_text(guess_mapping([path]).text)
     one = import_logs([path], read_mapping(tmp_path / "map.toml")).run
     words = summary(one)
-    assert not any(w["about"] == "channels" for w in words["can_tell"])
-    (poor,) = [w for w in words["cannot_tell"] if w["about"] == "channels"]
-    assert "channels 0, 1, 2 add up to 0 (2 of 3 directions move)" in poor["text"]
-    assert "each alone" in poor["remedy"] and "differences" in poor["remedy"]
+    assert not any(w.about == "channels" for w in words.can_tell)
+    (poor,) = [w for w in words.cannot_tell if w.about == "channels"]
+    assert "channels 0, 1, 2 add up to 0 (2 of 3 directions move)" in poor.text
+    assert "each alone" in poor.remedy and "differences" in poor.remedy
     fit = learn(one, degree=1, static=True)
     assert any("2 of 3 directions" in note and "stays at 0 mm" in note for note in fit.notes)
     found = diagnose(learned_model(one, fit), one, effects=["gain", "backlash"])

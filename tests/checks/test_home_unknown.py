@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from softmap_edge import Run
-from softmap_edge.checks.summary import sentences, summary
+from softmap_edge.checks.summary import summary
+from softmap_edge.checks.summary_text import sentences
 from softmap_edge.logs.guess import guess_mapping
 from softmap_edge.run.rest_command import rest_command
 from softmap_edge.run.run import HOME_TICKS
@@ -36,11 +37,11 @@ def test_home_is_reported_once_as_not_known(kind):
     document = summary(run_of(u, unit))
     poor = [
         word
-        for word in document["cannot_tell"]
-        if word["about"] in ("home", "sides", "together", "dwell")
+        for word in document.cannot_tell
+        if word.about in ("home", "sides", "together", "dwell")
     ]
-    assert [word["about"] for word in poor] == ["home"] and not document["home_known"]
-    assert "home is not known" in poor[0]["text"] and f"offset = [{offset}]" in poor[0]["remedy"]
+    assert [word.about for word in poor] == ["home"] and not document.home_known
+    assert "home is not known" in poor[0].text and f"offset = [{offset}]" in poor[0].remedy
     text = "\n".join(sentences(document))
     assert (
         "visits of home: not known" in text
@@ -53,7 +54,7 @@ def test_home_is_reported_once_as_not_known(kind):
 def test_without_the_rest_command_home_is_known(kind):
     u, unit, _ = AWAY[kind]
     document = summary(run_of(u - u[0], unit))
-    assert document["home_known"] and "not known" not in "\n".join(sentences(document))
+    assert document.home_known and "not known" not in "\n".join(sentences(document))
 
 
 KNOWN = {
@@ -67,12 +68,10 @@ KNOWN = {
 @pytest.mark.parametrize("kind", KNOWN)
 def test_commands_that_count_from_home_keep_their_advice(kind):
     document = summary(run_of(*KNOWN[kind]))
-    assert document["home_known"]
-    home = [
-        word for word in document["can_tell"] + document["cannot_tell"] if word["about"] == "home"
-    ]
-    assert len(home) == 1 and "home is" in home[0]["text"] and "not known" not in home[0]["text"]
-    sides = any(word["about"] == "sides" for word in document["cannot_tell"])
+    assert document.home_known
+    home = [word for word in document.can_tell + document.cannot_tell if word.about == "home"]
+    assert len(home) == 1 and "home is" in home[0].text and "not known" not in home[0].text
+    sides = any(word.about == "sides" for word in document.cannot_tell)
     assert sides == (kind in ("one-sided tendons", "tendons that never slacken"))
 
 
@@ -80,7 +79,7 @@ def test_ticks_that_count_from_home_are_known():
     run = run_of(
         np.array([700.0, 700.0]) + 100 * MOVE, "ticks", extra={HOME_TICKS: np.array([10, 10])}
     )
-    assert summary(run)["home_known"]
+    assert summary(run).home_known
 
 
 @pytest.mark.parametrize("rest", [(2048, 2048), (500, 3000), (3000, 1000)])

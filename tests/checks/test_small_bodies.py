@@ -23,7 +23,7 @@ def run(stroke=10.0, places=3, scale=1.0, **more):
 
 
 def doubts(one):
-    return [line for line in summary(one)["warnings"] if "look like cm" in line]
+    return [line for line in summary(one).warnings if "look like cm" in line]
 
 
 @pytest.mark.parametrize("places", [1, 2, 3])

@@ -79,5 +79,5 @@ CONSTANT = {
 def test_a_constant_law_is_identified_in_the_same_room(name):
     acting, effect = CONSTANT[name]
     found = diagnose(MODEL, warm_run(acting))
-    assert {e.name for e in found.effects} == {effect} and found.families[0].law == "resolved"
+    assert {e.name for e in found.effects} == {effect} and found.families[0].law == "identified"
     assert "change with" not in found.sentence

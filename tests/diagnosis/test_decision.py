@@ -358,7 +358,7 @@ def probability(alternatives=0, bound=False, unknown=False, reaching=None):
     step = (
         None
         if reaching is None
-        else SimpleNamespace(answer=SimpleNamespace(resolved=False, reaching=[0] * reaching))
+        else SimpleNamespace(answer=SimpleNamespace(identified=False, reaching=[0] * reaching))
     )
     numbers = {"gain.factor": Number(0.1, at_bound=bound)}
     return conclusion._probability(step, "gain", numbers, others, unknown)

@@ -17,8 +17,9 @@ from finger_runs import SOUND, finger_run, named
 from softmap_edge import _core
 from softmap_edge.comparison.comparison import compare
 from softmap_edge.diagnosis import decision
-from softmap_edge.diagnosis.diagnose import diagnose, refit
+from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.diagnosis.document import Diagnosis
+from softmap_edge.diagnosis.refit import refit
 from softmap_edge.diagnosis.text import diagnosis_text
 from softmap_edge.errors import SoftmapError
 from softmap_edge.model.bundle import builtin_model
@@ -138,7 +139,7 @@ def test_refit_moves_the_parameters_of_the_model():
     own = arm().with_effects(("latency",), {"latency.delay": 0.05})
     model, report = refit(own, record_run(HIDDEN["latency"], seed=1))
     assert model.chain_params[0] == pytest.approx(0.2, abs=0.01)
-    assert report["after_held_out_rms_mm"] < 0.7 * report["before_rms_mm"]
+    assert report.after_held_out_rms_mm < 0.7 * report.before_rms_mm
     with pytest.raises(SoftmapError, match="no effects"):
         refit(arm(), record_run({}))
 
@@ -249,7 +250,7 @@ def test_what_no_effect_explains_is_no_effect(name):
     rest = [e["name"] for e in _core.effects() if e["name"] != name]
     found = diagnose(builtin_model(), run, effects=rest)
     assert found.verdict in ("ambiguous", "partly_explained")
-    assert found.families[0].name == "static map" and found.families[0].law != "resolved"
+    assert found.families[0].name == "static map" and found.families[0].law != "identified"
     assert all(e.probability < 0.5 for e in found.effects)
     values = [found.error.before] + [step.value for step in found.error.ladder]
     assert values[-1] == min(values)

@@ -57,7 +57,7 @@ WHOLE = Diagnosis(
     ),
     families=(
         FamilyFinding(
-            "memory", "memory", "resolved", ("backlash",), 0.9, 1.8, 0.98, ("u³",), ("delay",)
+            "memory", "memory", "identified", ("backlash",), 0.9, 1.8, 0.98, ("u³",), ("delay",)
         ),
     ),
     alternatives=(Alternative(("friction",), "fits as well", "backlash", "memory"),),
@@ -154,6 +154,15 @@ def test_the_schema_before_is_read():
     assert "friction" in str(found)
 
 
+@pytest.mark.parametrize("schema", [SCHEMA, BEFORE])
+@pytest.mark.parametrize("law", ["identified", "ambiguous", "open", "unknown", "resolved"])
+def test_a_law_of_an_earlier_document_is_read_in_the_words_of_today(law, schema):
+    document = fresh() | {"schema": schema}
+    document["families"][0]["law"] = law
+    (family,) = Diagnosis.from_dict(document).families
+    assert family.law == ("identified" if law == "resolved" else law)
+
+
 @pytest.mark.parametrize("verdict", VERDICTS)
 def test_every_verdict_is_read_and_printed(verdict):
     assert VERDICTS[verdict] in str(Diagnosis.from_dict(fresh() | {"verdict": verdict}))
@@ -195,6 +204,8 @@ def spoil(document, where, value):
         (("effects", 0, "params", "backlash.gap", "value"), None, r"params.backlash.gap.value is NoneType"),
         (("effects", 0, "params", "backlash.gap", "value"), True, r"params.backlash.gap.value is bool"),
         (("effects", 0, "params", "backlash.gap", "at_bound"), 1, r"params.backlash.gap.at_bound is int"),
+        (("families", 0, "law"), "sure", r"law is 'sure', expected one of identified, ambiguous"),
+        (("families", 0, "law"), ["open"], r"law is \['open'\], expected one of identified"),
         (("families", 0, "share"), "most", r"diagnosis.families\[0\].share is str"),
         (("families", 0, "effects"), "backlash", r"diagnosis.families\[0\].effects is str"),
         (("error", "ladder", 0), 3.0, r"diagnosis.error.ladder\[0\] is float"),

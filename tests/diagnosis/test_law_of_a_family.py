@@ -11,14 +11,14 @@ def test_the_simplest_law_that_reaches_stands_for_the_family():
     found = judged(
         law("asymmetry", 101, 3), law("gain", 105, 1), law("offset", 400, 1), law("(u³)", 500, 1)
     )
-    assert found.law.name == "gain" and found.resolved and found.equals == ()
+    assert found.law.name == "gain" and found.identified and found.equals == ()
     assert [one.name for one in found.reaching] == ["gain", "asymmetry"] and len(found.tried) == 4
     assert found.loss.sum() == pytest.approx(105) and found.numbers == 1
 
 
 def test_where_no_law_reaches_it_is_unknown():
     found = judged(law("gain", 700, 1), law("offset+gain", 550, 2))
-    assert found.law is None and not found.open and not found.resolved and found.reaching == ()
+    assert found.law is None and not found.open and not found.identified and found.reaching == ()
     # the representative stays
     assert found.loss.sum() == pytest.approx(100) and found.numbers == 9.0
 
@@ -33,7 +33,7 @@ def test_a_static_law_that_does_most_of_its_family_is_the_candidate_of_an_open_o
     assert found.open and found.law.name == "gain" and found.equals == ()
     assert judged(*laws, kind="time").law.name == "gain"
     memory = judged(*laws, kind="memory")
-    assert memory.law.name == "gain" and memory.rough and not memory.open and not memory.resolved
+    assert memory.law.name == "gain" and memory.rough and not memory.open and not memory.identified
     # the model error is part of its noise
     assert judged(*laws, kind="memory", noisy=True).law is None
     # it explains less than 0.6 of what the family does
@@ -44,9 +44,9 @@ def test_a_static_law_that_does_most_of_its_family_is_the_candidate_of_an_open_o
 
 def test_a_generic_law_that_is_as_simple_opens_it():
     found = judged(law("gain", 105, 2), law("(u|u|)", 104, 2))
-    assert found.open and not found.resolved and found.law.name == "gain"  # the best candidate
+    assert found.open and not found.identified and found.law.name == "gain"  # the best candidate
     # one with more numbers does not
-    assert judged(law("gain", 105, 2), law("(u, u³)", 104, 4)).resolved
+    assert judged(law("gain", 105, 2), law("(u, u³)", 104, 4)).identified
     none = judged(law("gain", 700, 1), law("(u³)", 104, 1))
     assert none.open and none.law is None
 
@@ -56,10 +56,10 @@ def test_numbers_for_single_cables_are_no_simpler_than_a_generic_law():
     has.
     """
     cables = {"gain.factor[0+]": 1.0, "gain.factor[0-]": 0.8}
-    assert judged(law("gain", 105, 2), law("(u, u³)", 104, 4)).resolved
+    assert judged(law("gain", 105, 2), law("(u, u³)", 104, 4)).identified
     found = judged(law("gain", 105, 2, **cables), law("(u, u³)", 104, 4))
     assert found.open and found.law.name == "gain"
-    assert judged(law("gain", 105, 2, **cables), law("(u, u³)", 400, 4)).resolved
+    assert judged(law("gain", 105, 2, **cables), law("(u, u³)", 400, 4)).identified
 
 
 def test_a_law_that_is_better_than_the_representative_is_the_measure():
@@ -71,7 +71,7 @@ def test_a_law_that_is_better_than_the_representative_is_the_measure():
 def test_members_that_do_as_well_are_equals_and_the_first_to_act_comes_first():
     found = judged(law("offset", 102, 1), law("gain", 103, 1))
     assert (
-        found.resolved
+        found.identified
         and found.law.name == "gain"
         and [one.name for one in found.equals] == ["offset"]
     )

@@ -48,7 +48,7 @@ def test_families_of_effects_are_those_that_have_them_as_members():
 
 
 def family(name, effects, alternatives=()):
-    return FamilyFinding(name, "memory", "resolved", effects, 1.0, 1.0, alternatives=alternatives)
+    return FamilyFinding(name, "memory", "identified", effects, 1.0, 1.0, alternatives=alternatives)
 
 
 def test_the_diagnosis_asks_between_families_before_it_asks_between_laws():
@@ -114,7 +114,7 @@ def test_the_first_block_that_is_proposed_is_best_for_the_family():
     row = {
         "name": "memory",
         "kind": "memory",
-        "law": "resolved",
+        "law": "identified",
         "effects": ["backlash"],
         "share": 1,
         "moved_mm": 1,

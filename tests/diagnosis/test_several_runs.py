@@ -117,7 +117,7 @@ def test_refit_of_several_runs_and_runs_that_do_not_fit_together():
     model = builtin_model().with_effects(["backlash"], {"backlash.gap": 0.3})
     better, report = refit(model, [run, run])
     assert better.params["backlash.gap"] == pytest.approx(1.0, abs=0.02)
-    assert report["after_held_out_rms_mm"] < report["before_rms_mm"]
+    assert report.after_held_out_rms_mm < report.before_rms_mm
     markers = replace(run, vertices=None, markers=run.vertices[:, :3], marker_rest=model.rest[:3])
     with pytest.raises(SoftmapError, match="seen in the same way"):
         diagnose(model, [run, markers])

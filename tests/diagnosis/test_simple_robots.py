@@ -16,8 +16,8 @@ from softmap_edge import Run, diagnose, learn_model, load_bundle, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.comparison.series import series
 from softmap_edge.diagnosis import conclusion
-from softmap_edge.diagnosis.diagnose import refit
 from softmap_edge.diagnosis.findings import Alternative
+from softmap_edge.diagnosis.refit import refit
 from softmap_edge.errors import RunError
 from softmap_edge.experiment.choose import next_experiment
 from softmap_edge.model.effect_info import registry
@@ -456,12 +456,12 @@ def test_a_delay_of_one_servo_is_a_matter_of_the_model_s_own_delay():
     run = arm_run(36, lambda u: late(u, (0.15, 0.45)))
     found = diagnose(model, run)
     assert found.sentence.startswith("Refit first: the model's own latency")
-    again, document = refit(model, run)
-    delays = [document["params"][f"latency.delay[{c}]"]["value"] for c in (0, 1)]
+    again, report = refit(model, run)
+    delays = [report.params[f"latency.delay[{c}]"].value for c in (0, 1)]
     assert delays == pytest.approx([0.15, 0.45], abs=0.02)
     assert not diagnose(again, arm_run(37, lambda u: late(u, (0.15, 0.45)))).effects
-    same, document = refit(model, arm_run(38, lambda u: late(u, (0.3, 0.3))))
-    assert list(document["params"]) == ["latency.delay"]  # one number for all does as well
+    same, report = refit(model, arm_run(38, lambda u: late(u, (0.3, 0.3))))
+    assert list(report.params) == ["latency.delay"]  # one number for all does as well
 
 
 def test_two_orientations_are_noted_when_a_model_is_learned():

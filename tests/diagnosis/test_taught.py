@@ -81,7 +81,7 @@ def test_static_effects_cannot_be_found_in_a_run_that_taught_the_model(same, mod
 
 def test_learned_statically_the_play_is_named_first_by_the_diagnosis(bent):
     (found,), (family,) = bent.effects, bent.families
-    assert found.name == "backlash" and (family.name, family.law) == ("memory", "resolved")
+    assert found.name == "backlash" and (family.name, family.law) == ("memory", "identified")
     assert bent.verdict == "identified" and bent.learned_in == ()
     assert bent.error.after < 0.4 * bent.error.before
     assert any(
@@ -199,26 +199,19 @@ def test_a_memory_without_a_law_is_kept_with_the_model_and_reported_if_a_run_sho
         (),
     ) and one.after_mm < 0.9 * one.before_mm
     assert f"unknown law of {one.family}" in str(one) and "not in the model" in str(one)
-    changes = with_unknown(
-        model, {"verdict": "nothing", "sentence": "Nothing is missing."}, TaughtRuns()
-    )
-    (family,) = changes["families"]
-    assert (changes["verdict"], family.name, family.law) == (
-        "partly_explained",
-        one.family,
-        "unknown",
-    )
-    sentence = changes["sentence"]
-    assert sentence.startswith(f"An unknown law of the family {one.family}") and sentence.endswith(
-        "Nothing is missing."
-    )
+    silent = Diagnosis("nothing", "Nothing is missing.")
+    found = with_unknown(model, silent, TaughtRuns())
+    (family,) = found.families
+    assert (found.verdict, family.name, family.law) == ("partly_explained", one.family, "unknown")
+    assert found.sentence.startswith(f"An unknown law of the family {one.family}")
+    assert found.sentence.endswith("Nothing is missing.")
     assert family.moved_mm**2 == pytest.approx(one.before_mm**2 - one.after_mm**2)
-    assert with_unknown(model, {"verdict": "identified", "sentence": ""}, TaughtRuns()) == {}
-    other = {"verdict": "partly_explained", "sentence": "A delay.", "effects": (), "faults": ()}
-    assert with_unknown(model, other, TaughtRuns()) == {}  # another run may show another one
+    named, other = Diagnosis("identified"), Diagnosis("partly_explained", "A delay.")
+    assert with_unknown(model, named, TaughtRuns()) is named
+    assert with_unknown(model, other, TaughtRuns()) is other  # another run may show another one
     # the runs that taught the model cannot
     again = with_unknown(model, other, TaughtRuns(runs=(1,)))
-    assert again["families"] == changes["families"] and "A delay." not in again["sentence"]
+    assert again.families == found.families and "A delay." not in again.sentence
     kept = json.loads(json.dumps(one.to_dict()))
     document = {
         "schema": "softmap.diagnosis/2",

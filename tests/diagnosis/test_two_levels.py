@@ -72,7 +72,7 @@ def test_play_is_named_with_its_gap():
     assert (family.name, family.kind, family.law, family.effects) == (
         "memory",
         "memory",
-        "resolved",
+        "identified",
         ("backlash",),
     )
     assert family.share > 0.9 and family.law_share > 0.9 and family.moved_mm > 0.2
@@ -89,7 +89,7 @@ def test_play_is_named_with_its_gap():
 
 def test_unequal_plays_are_named_with_a_number_for_each_channel():
     found = diagnose(MODEL, finger_run(acting=lambda u: played(u, [1.4, 0.8])))
-    assert names(found) == {"backlash"} and found.families[0].law == "resolved"
+    assert names(found) == {"backlash"} and found.families[0].law == "identified"
     gaps = [found.effects[0].params[f"backlash.gap[{c}]"].value for c in (0, 1)]
     assert gaps == pytest.approx([1.4, 0.8], rel=0.05)
 
@@ -102,7 +102,7 @@ def test_unequal_slack_is_named_with_a_number_for_each_cable():
         return np.maximum(u - above, 0.0) - np.maximum(-u - below, 0.0)
 
     found = diagnose(MODEL, finger_run(acting=acting))
-    assert names(found) == {"dead_zone"} and found.families[0].law == "resolved"
+    assert names(found) == {"dead_zone"} and found.families[0].law == "identified"
     for cable, wanted in slack.items():
         assert found.effects[0].params[f"dead_zone.slack[{cable}]"].value == pytest.approx(
             wanted, rel=0.05
@@ -134,7 +134,7 @@ def test_a_law_of_the_library_is_no_open_map():
         (lambda u: u * [1.12, 0.9], "gain"),
     ):
         found = diagnose(MODEL, finger_run(acting=act))
-        assert claims(found) == {name} and found.families[0].law == "resolved"
+        assert claims(found) == {name} and found.families[0].law == "identified"
 
 
 def test_an_unknown_coupling_is_flagged_with_its_family():
@@ -153,7 +153,7 @@ def test_a_known_play_is_found_alongside_an_unknown_coupling():
     assert found.verdict == "partly_explained" and names(found) == {"backlash"}
     assert found.effects[0].params["backlash.gap"].value == pytest.approx(1.2, rel=0.1)
     laws = {family.name: family.law for family in found.families}
-    assert laws == {"memory": "resolved", "coupling": "unknown"}
+    assert laws == {"memory": "identified", "coupling": "unknown"}
     # With the play in the model, the remainder has the same name.
     again = diagnose(found.model, run)
     assert again.verdict == "partly_explained" and not names(again)
@@ -335,7 +335,7 @@ def test_laws_at_once_are_asked_before_the_other_families_only_if_they_explain_a
 
     def explained(first, *effects):
         one = law_of(state, fits, effects, null)
-        step = Step(SimpleNamespace(family=home[first], resolved=True), ())
+        step = Step(SimpleNamespace(family=home[first], identified=True), ())
         start = Outcome(state.body, fits, fits, state, null, null, [step])
         monkeypatch.setattr(together, "_with_others", lambda other, outcome: other)
         return together._explained(one, start, lambda outcome, most: None, 0.12)
@@ -423,7 +423,8 @@ def test_a_family_that_leaves_only_noise_excludes_one_that_leaves_more(monkeypat
     # So a set of laws that leaves more than noise does not replace it either.
     def outcome(name, kind, loss, open_):
         step = SimpleNamespace(
-            family=SimpleNamespace(name=name, kind=kind), answer=SimpleNamespace(resolved=not open_)
+            family=SimpleNamespace(name=name, kind=kind),
+            answer=SimpleNamespace(identified=not open_),
         )
         loss, null = (np.full(8, each / 8) for each in (loss, 1500.0))
         return SimpleNamespace(loss=loss, null=null, open=open_, body=state.body, steps=[step])
@@ -450,7 +451,7 @@ def test_sets_of_laws_are_tried_until_one_leaves_nothing_unknown(monkeypatch):
     """
     sets = [law("gain+mount", 90, 8), law("gain+mount+creep", 80, 11), law("gain", 100, 2)]
     step = SimpleNamespace(
-        family=SimpleNamespace(name="body"), answer=SimpleNamespace(resolved=False), others=()
+        family=SimpleNamespace(name="body"), answer=SimpleNamespace(identified=False), others=()
     )
     body = SimpleNamespace(record=SimpleNamespace(error_is_noise=False), ordinary_mm=0.1)
 
@@ -497,9 +498,9 @@ def test_a_static_family_without_a_law_is_not_replaced_by_an_event_or_a_memory()
         steps = [
             SimpleNamespace(
                 family=SimpleNamespace(name=name, kind=kind),
-                answer=SimpleNamespace(resolved=resolved),
+                answer=SimpleNamespace(identified=identified),
             )
-            for (name, kind), resolved in families
+            for (name, kind), identified in families
         ]
         body, open_ = (
             SimpleNamespace(problem=SimpleNamespace(numbers=100.0)),
@@ -560,18 +561,18 @@ def test_a_stop_that_no_command_reaches_stays_where_it_is_in_cross_validation():
     assert held < 0.3 * problem.held_out_mm(problem.fold_predictions(problem.null()))
 
 
-@pytest.mark.parametrize(("radius", "resolved"), [(3.0, True), (3.2, False), (8.0, False)])
-def test_an_eccentric_pulley_counts_only_where_a_full_turn_is_seen(radius, resolved):
+@pytest.mark.parametrize(("radius", "identified"), [(3.0, True), (3.2, False), (8.0, False)])
+def test_an_eccentric_pulley_counts_only_where_a_full_turn_is_seen(radius, identified):
     """The range is 20 mm: a turn of 2π·3 mm is within it. A smaller part of a sine is any smooth
     map.
     """
     found = judged(law("eccentric_pulley", 101, 5, **{"eccentric_pulley.radius": radius}))
-    assert found.resolved == resolved and found.open == (not resolved)
-    assert (found.law is not None) == resolved
+    assert found.identified == identified and found.open == (not identified)
+    assert (found.law is not None) == identified
     known = judged(
         law("eccentric_pulley", 101, 4, **{"eccentric_pulley.radius": radius}),
         spool=Spool(radius, 0.1, ""),
     )
-    assert known.resolved  # its period is not a free number
+    assert known.identified  # its period is not a free number
     beside = {"eccentric_pulley.radius": radius}
     assert judged(law("eccentric_pulley", 101, 5, **beside), law("gain", 102, 1)).law.name == "gain"

@@ -85,7 +85,7 @@ def test_a_mapping_takes_it_as_not_seen_and_says_so(tmp_path, lost):
     assert len(done.doubts) == 1 and f"markers: {NAMES[lost]}" in done.doubts[0]
     assert "at exactly 0, 0, 0 in all 300 frames" in done.doubts[0]
     assert not done.run.visible[:, lost].any() and done.run.visible.sum() == 3 * 300
-    (reported,) = [one for one in summary(done.run)["warnings"] if "seen in none" in one]
+    (reported,) = [one for one in summary(done.run).warnings if "seen in none" in one]
     assert reported.startswith(NAMES[lost])
     with pytest.raises(RunError, match="seen in none of 300 frames; leave it out of `markers`"):
         learn(done.run)
@@ -99,9 +99,9 @@ def test_it_is_kept_if_asked_and_turns_no_frame(tmp_path, lost):
     done = import_logs([log], mapped(keys='not_seen = "keep", '))
     assert done.doubts == () and done.run.visible is None
     assert any("kept as asked" in note for note in done.notes)
-    assert not any("0, 0, 0" in one for one in summary(done.run)["warnings"])
+    assert not any("0, 0, 0" in one for one in summary(done.run).warnings)
     del done.run.extra["not_seen"]  # a run of an older version
-    assert any("at exactly 0, 0, 0" in one for one in summary(done.run)["warnings"])
+    assert any("at exactly 0, 0, 0" in one for one in summary(done.run).warnings)
 
 
 @pytest.mark.parametrize("name", ["base", "clamp_1", "mount"])

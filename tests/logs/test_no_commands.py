@@ -55,7 +55,7 @@ def test_an_import_without_commands_is_reported(tmp_path, capsys, kind):
 def test_a_run_with_commands_is_not_reported(key):
     unit = {} if key == "ticks" else {"command_unit": "deg"}
     run = Run(t=T, t_seen=T[:0], **{key: np.rint(100 * np.sin(T))[:, None]}, **unit)
-    assert not any("without commands" in text for text in summary(run)["warnings"])
+    assert not any("without commands" in text for text in summary(run).warnings)
 
 
 NAMES = {

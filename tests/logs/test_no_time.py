@@ -7,7 +7,8 @@ import pytest
 from logs import fault, imported
 
 from softmap_edge import Run, diagnose, learn_model
-from softmap_edge.checks.summary import sentences, summary
+from softmap_edge.checks.summary import summary
+from softmap_edge.checks.summary_text import sentences
 
 COUNT = 500
 

@@ -142,7 +142,7 @@ def test_a_csv_with_lost_markers(tmp_path, number):
         "not seen" in line for line in (*kept.notes, *kept.doubts)
     )
     # the key is kept in the run
-    assert summary(kept.run)["not_seen"] == [] and lost_points(kept.run)[1] == []
+    assert summary(kept.run).not_seen == [] and lost_points(kept.run)[1] == []
 
 
 def test_numbers_that_a_mapping_declares_as_not_seen(tmp_path):

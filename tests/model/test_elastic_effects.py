@@ -198,9 +198,9 @@ def test_cables_taken_for_rods_are_named_and_the_rod_is_fitted_again(
     np.testing.assert_allclose(added.predict(worn), found.model.predict(worn), atol=1e-9)
     np.testing.assert_allclose(added.form_error, found.model.form_error, rtol=1e-6)
     again, reported = refit(added, worn)
-    assert reported["after_held_out_rms_mm"] < 1.1 * reported[
-        "before_rms_mm"
-    ] and again.chain_names == ("slack",)
+    assert reported.after_held_out_rms_mm < 1.1 * reported.before_rms_mm and again.chain_names == (
+        "slack",
+    )
     # Removed, also from a bundle and after a refit, the rod is what it was before, and says so.
     save(again, tmp_path / "again")
     assert (

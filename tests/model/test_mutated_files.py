@@ -234,11 +234,12 @@ def elastic_sample(folder):
 
 # --- use: load, and what everybody does next -----------------------------------------------
 def use_run(path):
-    from softmap_edge.checks.summary import sentences, summary
+    from softmap_edge.checks.summary import summary
+    from softmap_edge.checks.summary_text import sentences
     from softmap_edge.run.run import Run
 
     run = Run.load(path)
-    json.dumps(summary(run))
+    json.dumps(summary(run).to_dict())
     sentences(summary(run))
     run.at(np.arange(run.frames) % 2 == 0)
     run.save(path.with_name("again.npz"))

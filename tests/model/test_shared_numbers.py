@@ -285,7 +285,7 @@ def test_a_fit_goes_on_from_the_numbers_that_the_model_has(problem):
     model = MODEL.with_effects(["backlash"], {"backlash.gap[0]": 1.0, "backlash.gap[1]": 0.6})
     better, report = refit(model, problem.record.run)
     assert better.params == pytest.approx(GAPS, rel=0.02)
-    assert report["after_held_out_rms_mm"] < 0.7 * report["before_rms_mm"]
+    assert report.after_held_out_rms_mm < 0.7 * report.before_rms_mm
     one, _ = refit(MODEL.with_effects(["backlash"], {"backlash.gap": 1.0}), problem.record.run)
     assert one.params == pytest.approx(GAPS, rel=0.02)  # a number for each channel is far better
     own = problem_of(record_of(model, problem.record.run), [])

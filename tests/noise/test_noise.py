@@ -309,7 +309,7 @@ def test_check_and_compare_report_one_noise():
     run = replace(run, vertices=seen)
     number = compare(model, run).noise_floor_mm
     assert noise_of_points(run).mm == number
-    text = next(w["text"] for w in summary(run)["can_tell"] if w["about"] == "noise")
+    text = next(w.text for w in summary(run).can_tell if w.about == "noise")
     assert f"the noise is {number:.2g} mm" in text
 
 

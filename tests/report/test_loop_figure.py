@@ -28,7 +28,7 @@ BACKLASH = {
 }
 
 
-def family(name="memory", kind="memory", law="resolved", effects=("backlash",), **more):
+def family(name="memory", kind="memory", law="identified", effects=("backlash",), **more):
     return {
         "name": name,
         "kind": kind,
@@ -166,7 +166,7 @@ def test_the_page_draws_the_loop_where_a_family_with_memory_was_detected(found, 
             family(effects=("backlash", "friction")),
             "Memory: backlash, gap 1.39 mm on channel 0 and 0.770 mm on channel 1, or friction",
         ),
-        (family("load", "static", "resolved", ("payload",)), "Load: payload"),
+        (family("load", "static", "identified", ("payload",)), "Load: payload"),
     ],
 )
 def test_a_family_and_its_law_make_one_line(row, line):

@@ -26,9 +26,10 @@ from recorded_arms import (
 from softmap_edge import Run, learn_model, load_bundle, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.model.basis import Basis
-from softmap_edge.rod import found_law, memory
 from softmap_edge.rod.covered_folds import search_folds
 from softmap_edge.rod.learn import learn, learned_model
+from softmap_edge.rod.memory import confirm
+from softmap_edge.rod.memory.step import FittedEffect, Step
 from softmap_edge.rod.reference_run import observe
 from softmap_edge.rod.regression import Drive, Record
 from softmap_edge.rod.signals import Family, families
@@ -94,7 +95,7 @@ def test_a_short_log_of_an_arm_without_memory_gets_nothing_into_its_chain(
     """Some law among many fits the error of a bad map, also on blocks that were left out."""
     run = segmented(seed, 3, frames)
     assert learn(run).chain_names == ()
-    monkeypatch.setattr(memory._Search, "_unconfirmed", lambda *_: "")
+    monkeypatch.setattr(confirm, "unconfirmed", lambda *_: "")
     assert learn(run).chain_names != ()
 
 
@@ -417,24 +418,18 @@ def certain(labels, other_labels=(), more=False):
     not in every fold.
     """
 
-    def fitted(names, loss):
-        names, losses = tuple(names), loss / 8 + np.tile([0.4, -0.4], 4)
-        law = SimpleNamespace(labels=names)
+    def fitted(names, losses):
         return SimpleNamespace(
-            law=law, x=np.full(len(names), 0.5), losses=losses, bounded=np.zeros(len(names), bool)
+            chain=SimpleNamespace(labels=tuple(names)),
+            losses=losses,
+            bounded=np.zeros(len(names), bool),
         )
 
-    family, first, second = (
-        Family("delay", ("latency", "lag")),
-        fitted(labels, 50.0),
-        fitted(other_labels, 49.0),
-    )
-    others = (
-        (found_law.Candidate(family, "lag", second.losses[::-1], second),) if other_labels else ()
-    )
-    return found_law.FoundLaw(
-        family, ("latency",), first, np.full(8, 50.0), others, False, False, more
-    ).certainty
+    family, up_and_down = Family("delay", ("latency", "lag")), np.tile([0.4, -0.4], 4)
+    first = fitted(labels, 50.0 / 8 + up_and_down)
+    second = fitted(other_labels, 49.0 / 8 - up_and_down)
+    others = (FittedEffect(family, "lag", second),) if other_labels else ()
+    return Step(family, ("latency",), first, np.full(8, 50.0), others, False, False, more).certainty
 
 
 def test_numbers_for_each_channel_count_as_one_when_laws_are_compared():

@@ -1,5 +1,7 @@
 """The numbers behind the mask of a numpy masked array enter no run, no command and no target."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from sound_run import C, K, N, T, fields, sound
@@ -34,7 +36,7 @@ def test_masked_places_are_not_seen(filler, index):
     assert (known(run, run.markers) == ~hidden).all()
     plain = sound(visible=~hidden)
     assert np.allclose(run.markers[~hidden], plain.markers[~hidden])
-    assert summary(run) | {"hash": ""} == summary(plain) | {"hash": ""}
+    assert replace(summary(run), hash="") == replace(summary(plain), hash="")
 
 
 @pytest.mark.parametrize("filler", [0.0, -999.0, 65535.0, 1e20, np.nan])
@@ -44,7 +46,7 @@ def test_numbers_of_points_that_are_not_visible_count_nowhere(filler):
     given = fields()["markers"]
     plain = sound(visible=visible)
     run = sound(visible=visible, markers=np.where(visible[..., None], given, filler))
-    assert summary(run) | {"hash": ""} == summary(plain) | {"hash": ""}
+    assert replace(summary(run), hash="") == replace(summary(plain), hash="")
 
 
 def test_points_in_metres_are_found_whatever_stands_for_a_hidden_one():

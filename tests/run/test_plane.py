@@ -176,4 +176,4 @@ def test_what_a_plane_cannot_give_is_refused():
         )
     whole = Run(t=T, t_seen=T, command=U, markers=places(U))
     assert unmeasured(whole) is None and flat(whole.markers, whole) is whole.markers
-    assert not any(word["about"] == "plane" for word in summary(whole)["cannot_tell"])
+    assert not any(word.about == "plane" for word in summary(whole).cannot_tell)

@@ -56,7 +56,7 @@ def test_a_roll_over_is_reported_with_the_key_that_counts_on(tmp_path, kind):
     done = imported(path, unit)
     line = next(doubt for doubt in done.doubts if "rolls over" in doubt)
     assert f"command.unwrap = {turn:.7g}" in line and "'u_1'" in line and "'u_2'" in line
-    warning = [text for text in summary(done.run)["warnings"] if "rolls over" in text]
+    warning = [text for text in summary(done.run).warnings if "rolls over" in text]
     assert len(warning) == 1 and f"command.unwrap = {turn:.7g}" in warning[0]
     mended = imported(path, unit, f", unwrap = {turn!r}")
     found = mended.run.command
@@ -66,7 +66,7 @@ def test_a_roll_over_is_reported_with_the_key_that_counts_on(tmp_path, kind):
     )
     assert not any("rolls over" in doubt for doubt in mended.doubts)
     assert any("counts on over" in note for note in mended.notes)
-    assert not any("rolls over" in text for text in summary(mended.run)["warnings"])
+    assert not any("rolls over" in text for text in summary(mended.run).warnings)
 
 
 @pytest.mark.parametrize("name", ["ticks", "present_ticks"])

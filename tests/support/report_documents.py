@@ -26,7 +26,7 @@ DIAGNOSIS = {
         {
             "name": "memory",
             "kind": "memory",
-            "law": "resolved",
+            "law": "identified",
             "effects": ["backlash"],
             "share": 0.93,
             "moved_mm": 1.84,

@@ -19,6 +19,9 @@ Floats = NDArray[np.float64]
 LEAST = 0.03  # least share of the loss that a family explains; less depends on the choice of folds
 # the same of the loss above the noise; later families share the remainder
 FIRST, LATER = 0.05, 0.3
+# Shares of the loss above the noise. SURE: least that an identified or unknown law explains. LEFT:
+# most that remains of the first loss, as in a diagnosis (decision.py).
+SURE, LEFT = 0.2, 0.1
 MOST_FOLDS = 0.6  # share of the folds in which it must fall
 FALL = 0.01  # of a fold's loss: least fall
 # of the robot's length, RMS: camera limit (0.12 mm for a finger of 120)
