@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import os
 import shutil
 import tempfile
@@ -86,6 +87,12 @@ def _mask() -> int:
     return mask
 
 
+def sha256_of(file: Path) -> str:
+    """Return the SHA-256 of a file's bytes, 64 hexadecimal digits."""
+    with file.open("rb") as content:
+        return hashlib.file_digest(content, "sha256").hexdigest()
+
+
 def own_text(path: str | Path, most: int, *, keep_line_ends: bool = False) -> str:
     """Return the text of a file of at most `most` bytes, without its byte order mark.
 
@@ -97,7 +104,7 @@ def own_text(path: str | Path, most: int, *, keep_line_ends: bool = False) -> st
         keep_line_ends: leave CR and CR LF as they are; otherwise each becomes a line feed.
 
     Raises:
-        OSError: it cannot be opened, is no regular file or is too long; `strerror` is the reason.
+        OSError: it cannot be opened, is not a regular file or is too long; `strerror` is the reason.
         UnicodeDecodeError: it is not UTF-8.
     """
     file = Path(path)
@@ -116,7 +123,7 @@ def read_document(path: str | Path, error: type[SoftmapError] = SoftmapError) ->
     """Return a document's text; raise `error` if it is not a text file or too large."""
     file = Path(path)
     if file.exists() and not file.is_file():
-        raise error(f"{path}: no file; give a document")
+        raise error(f"{path}: not a file; give a document")
     if file.exists() and file.stat().st_size > MOST_TEXT:
         raise error(
             f"{path}: {file.stat().st_size >> 20} MB, documents of up to {MOST_TEXT >> 20} MB are "

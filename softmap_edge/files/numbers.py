@@ -1,10 +1,12 @@
-"""Format numbers in reports: lengths, shares, text bars, excessive numbers and folded lines."""
+"""Check numbers of documents; format them in reports: lengths, shares, bars, folded lines."""
 
 from __future__ import annotations
 
 import math
 import re
+import sys
 import textwrap
+from typing import TypeGuard
 
 WIDTH = 100  # characters of a line
 BAR = 28
@@ -12,6 +14,15 @@ BAR = 28
 LARGEST = 1e6
 LONG_NUMBER = re.compile(r"(?<![\w.])([+-]?)([1-9]\d{6,})(?:\.\d*)?(?!\w)")
 EIGHTHS = " ▏▎▍▌▋▊▉█"
+
+
+def finite(value: object, most: float = sys.float_info.max) -> TypeGuard[float]:
+    """Return whether a value of a document is a number within ±`most`.
+
+    True and false are not numbers, though Python counts them as integers. NaN, infinity and an
+    integer that no float can hold are not within any limit.
+    """
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= most
 
 
 def bar(value: float, scale: float, width: int = BAR) -> str:
@@ -27,7 +38,7 @@ def bar(value: float, scale: float, width: int = BAR) -> str:
 
 def mm(value: object) -> str:
     """Return a length with three figures ('0.123', '12.3'), or '–' if unknown."""
-    if not isinstance(value, (int, float)) or not math.isfinite(value):
+    if not finite(value):
         return "–"
     if abs(value) >= LARGEST:
         return f"{value:.1e}"
@@ -56,7 +67,7 @@ def percent(share: object) -> str:
 
 def number(value: object) -> float | None:
     """Return a finite number as a float, anything else as None."""
-    return float(value) if isinstance(value, (int, float)) and math.isfinite(value) else None
+    return float(value) if finite(value) else None
 
 
 def tamed(text: object) -> str:

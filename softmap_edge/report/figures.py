@@ -26,7 +26,7 @@ from softmap_edge.comparison.series import Series
 from softmap_edge.comparison.text import WHERE
 from softmap_edge.diagnosis.text import ladder_steps
 from softmap_edge.files.atomic import Document
-from softmap_edge.files.numbers import mm
+from softmap_edge.files.numbers import finite, mm
 from softmap_edge.run.in_unit import PLACES
 
 Floats = NDArray[np.float64]
@@ -276,7 +276,7 @@ def ladder_bars(error: Document) -> bytes:
             axes.annotate(
                 f"{mm(value)}", (value, position), (5, 0), textcoords="offset points", va="center"
             )
-        if isinstance(floor, (int, float)) and math.isfinite(floor):
+        if finite(floor):
             axes.axvline(floor, color=INK, linewidth=1.1, linestyle=(0, (4, 3)))
             axes.annotate(
                 f"floor {mm(floor)}",

@@ -113,4 +113,4 @@ def test_opening_a_robot_loads_few_modules():
             [sys.executable, "-c", code], capture_output=True, text=True, check=True
         ).stdout
     )
-    assert count <= 40, count
+    assert count <= 41, count
