@@ -127,8 +127,7 @@ def _nothing_left(before: Comparison, after: Comparison) -> str | None:
     gone = fall(old, new, floor)
     if gone is not None and gone >= REMOVED:
         return (
-            f"{percent(gone)} of the error above the noise floor is gone: this run validates the "
-            "second model."
+            f"{percent(gone)} of the removable error is gone: this run validates the second model."
         )
     return None
 

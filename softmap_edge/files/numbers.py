@@ -48,13 +48,16 @@ def mm(value: object) -> str:
 
 
 def fall(before: float, after: float, floor: float | None = None) -> float | None:
-    """Return the share by which the error above `floor` (default 0) falls.
+    """Return the share by which the error above `floor` (default 0) falls, at most 1.
 
-    None if no error exceeds the floor.
+    An error below the floor is noise, so all that could be removed is gone. None if no error
+    exceeds the floor.
     """
     base = floor or 0.0
     removable = before - base
-    return (before - after) / removable if removable > 0 and math.isfinite(after) else None
+    if removable <= 0 or not math.isfinite(after):
+        return None
+    return min(1.0, (before - after) / removable)
 
 
 def percent(share: object) -> str:

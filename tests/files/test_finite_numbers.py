@@ -9,7 +9,7 @@ import tomllib
 import numpy as np
 import pytest
 
-from softmap_edge.files.numbers import finite, mm, number, percent
+from softmap_edge.files.numbers import fall, finite, mm, number, percent
 
 
 @pytest.mark.parametrize("value", [0, -3, 2.5, 1e308, 10**300, np.float64(4.0)])
@@ -40,3 +40,12 @@ def test_values_of_toml_that_are_not_finite_numbers(text):
 def test_the_limit_belongs_to_the_allowed_numbers():
     assert finite(5, 5) and finite(-5.0, 5)
     assert not finite(5.001, 5) and not finite(10**400, 5)
+
+
+@pytest.mark.parametrize(
+    ("errors", "share"),
+    [((2.0, 1.0, None), 0.5), ((2.0, 1.0, 0.5), 2 / 3), ((2.0, 0.1, 0.5), 1.0), ((0.4, 0.1, 0.5), None),
+     ((1.0, 2.0, 0.0), -1.0), ((1.0, math.nan, 0.0), None)],
+)  # fmt: skip
+def test_the_share_of_the_removable_error_is_at_most_all_of_it(errors, share):
+    assert fall(*errors) == (share if share is None else pytest.approx(share))

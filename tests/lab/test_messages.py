@@ -27,7 +27,7 @@ def test_a_request_is_read():
 
 @pytest.mark.parametrize(
     ("said", "why"),
-    [(b"{}", "not binary"), ("", "not JSON"), ("[]", "JSON object"), ("[" * 5000, "no JSON"),
+    [(b"{}", "not binary"), ("", "not JSON"), ("[]", "JSON object"), ("[" * 5000, "not JSON"),
      ("{}", "'id'"), ('{"id": true, "do": "state"}', "'id'"), ('{"id": -1, "do": "state"}', "'id'")]
     + [(json.dumps(GOOD | change), why) for change, why in (
         ({"do": "fly"}, "no request 'fly'"), ({"do": []}, "no request"), ({"run": -1}, "'run'"),
