@@ -154,7 +154,7 @@ class Session:
     def diagnosis(self) -> Document | None:
         """Return the newest diagnosis of the folder, for the page; None without one.
 
-        Beside the entries of the document it has `verdict_text` and `removed`, the share of the
+        Besides the entries of the document it has `verdict_text` and `removed`, the share of the
         removable error that the named effects remove (None if there is nothing to count).
         """
         file = self.journal.state.diagnosed
@@ -162,12 +162,13 @@ class Session:
             return None
         document = Diagnosis.load(self.journal.folder / file).to_dict()
         error = document["error"]
-        last = error["ladder"][-1]["value"] if error["ladder"] else None
+        last: float | None = error["ladder"][-1]["value"] if error["ladder"] else None
         before, floor = error["model"], error["floor"]
-        known = finite(before) and finite(last) and finite(floor)
         return document | {
             "verdict_text": VERDICTS[document["verdict"]],
-            "removed": fall(before, last, floor) if known else None,
+            "removed": fall(before, last, floor)
+            if finite(before) and finite(last) and finite(floor)
+            else None,
         }
 
     def library(self) -> list[Document]:

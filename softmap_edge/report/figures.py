@@ -416,6 +416,7 @@ def _marker_figure(places: Floats, shown: Sequence[tuple[str, Floats]], scale: N
                 textcoords="offset points",
                 va="center",
                 size=8,
+                in_layout=False,  # else a moved label would shrink the axes
                 bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5},
                 arrowprops={"arrowstyle": "-", "color": PALE, "linewidth": 0.6},
             )
@@ -435,7 +436,8 @@ def _spread_labels(axes: Axes) -> None:
     """Move the labels of points so that none covers another label or another point.
 
     A label stays next to its point, on the side with more room, if nothing is there. Else it takes
-    the nearest free place above or below, with a line to its point; inside the axes if it can.
+    the nearest free place above or below, with a line to its point; inside the axes if it can. If
+    there are too many labels for any free place, it stays.
     """
     labels = [text for text in axes.texts if isinstance(text, Annotation)]
     points = axes.transData.transform([label.xy for label in labels])
@@ -445,15 +447,19 @@ def _spread_labels(axes: Axes) -> None:
     middle, placed = 0.5 * (points[:, 0].min() + points[:, 0].max()), list[Bbox]()
     for k, label in enumerate(labels):
         high = 1.1 * _extent(label).height / pixels  # a line of text, points
-        rows = sorted(range(-len(labels), len(labels) + 1), key=abs)
+        most = int(frame.height / pixels / high)
+        rows = sorted(range(-most, most + 1), key=abs)
         sides = (-1, 1) if points[k, 0] > middle else (1, -1)
         taken = [*placed, *dots[:k], *dots[k + 1 :]]
-        for within, row, side in product((frame, None), rows, sides):
+        candidates = [*product((True, False), rows, sides), (False, 0, sides[0])]
+        for number, (within, row, side) in enumerate(candidates, 1):
             label.set_horizontalalignment("left" if side > 0 else "right")
             label.xyann = (side * BESIDE, row * high)
             box = _extent(label)
-            inside = within is None or (within.x0 <= box.x0 and box.x1 <= within.x1)
-            if inside and not any(box.overlaps(other) for other in taken):
+            inside = frame.y0 <= box.y0 and box.y1 <= frame.y1
+            inside &= not within or (frame.x0 <= box.x0 and box.x1 <= frame.x1)
+            free = inside and not any(box.overlaps(other) for other in taken)
+            if free or number == len(candidates):
                 break
         placed.append(box)
         if label.arrow_patch is not None:
