@@ -260,7 +260,7 @@ def _run(command: Command, argv: list[str]) -> int:
     module = importlib.import_module(command.module)
     function = command.function + ("_" if command.function == "import" else "")
     parser = parser_of(command)
-    # -8,3 is no option: argparse does not parse an argument with a space as one
+    # -8,3 is not an option: argparse does not parse an argument with a space as one
     argv = [f" {word}" if NEGATIVE.match(word) else word for word in argv]
     try:
         namespace = parser.parse_args(argv)

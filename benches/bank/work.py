@@ -49,7 +49,7 @@ def decided(constants: str) -> None:
     """Set constants of the decision in this process, `FORM=0.1,LEFT=0.2`.
 
     Raises:
-        ValueError: decision.py has no such constant, or its value is no number.
+        ValueError: decision.py has no such constant, or its value is not a number.
     """
     from softmap_edge.diagnosis import decision
 
@@ -63,7 +63,7 @@ def decided(constants: str) -> None:
             setattr(decision, name, float(value))
         except ValueError:
             raise ValueError(
-                f"{name} is '{value}', which is no number; give NAME=VALUE, as in FORM=0.1"
+                f"{name} is '{value}', which is not a number; give NAME=VALUE, as in FORM=0.1"
             ) from None
 
 

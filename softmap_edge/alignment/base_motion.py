@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.alignment.result import base_markers
-from softmap_edge.files.atomic import Document
+from softmap_edge.files.atomic import Document, finite
 from softmap_edge.geometry.rigid import kabsch
 from softmap_edge.model.parameter_layout import Layout
 from softmap_edge.run.run import Run, as_runs
@@ -263,9 +263,7 @@ def _place(made_from: Mapping[str, object]) -> Floats | None:
     if not isinstance(kept, list) or not LEAST_MARKERS <= len(kept) <= MOST_MARKERS:
         return None
     rows = [row for row in kept if isinstance(row, list) and len(row) == 3]
-    if len(rows) < len(kept) or not all(
-        isinstance(x, int | float) and abs(x) < 1e6 for row in rows for x in row
-    ):
+    if len(rows) < len(kept) or not all(finite(x, 1e6) for row in rows for x in row):
         return None
     return np.array(rows, float)
 

@@ -211,7 +211,7 @@ def _check(k: int, cloud: Floats, rest: Floats) -> None:
             f"cloud {k}: {len(cloud)} points, {LEAST_POINTS} or more show where a finger is; "
             "leave it out"
         )
-    low, high = np.quantile(cloud, [0.05, 0.95], axis=0)  # what flies about is no extent
+    low, high = np.quantile(cloud, [0.05, 0.95], axis=0)  # what flies about is not an extent
     ratio = float(np.linalg.norm(high - low) / np.linalg.norm(np.ptp(rest, axis=0)))
     for unit, factor in UNITS.items():
         if factor / NEAR_UNIT < ratio < factor * NEAR_UNIT:

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 LEAST = 30  # frames; with fewer, nothing is reported
 NOISE = 5.0  # times the noise: larger is motion
-STILL = 1.15  # times the noise: smaller is no motion
+STILL = 1.15  # times the noise: smaller is not a motion
 ROUNDING = 1e-9  # of the largest coordinate: a smaller motion is an error of rounding
 ENGAGED = (
     "check that the drive is engaged (power, torque, tendons attached), and that the frames are of "

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from softmap_edge.adaptation.adapt import adapt as learn
 from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file, next_command
 from softmap_edge.commands.own import effects_argument, load_own, open_model
-from softmap_edge.commands.understand import teller, warn_outside, write_page
+from softmap_edge.commands.progress import Elapsed
+from softmap_edge.commands.understand import warn_outside, write_page
 from softmap_edge.model.bundle import save_bundle
 from softmap_edge.robot.drive.recorded import open_run
 
@@ -64,7 +65,8 @@ def adapt(args: AdaptOptions) -> int:
     model = open_model(args.bundle)
     runs = [open_run(path, model) for path in args.runs]
     held_out = None if args.held_out is None else open_run(args.held_out, model)
-    found = learn(model, runs, held_out, not args.residual_only, teller(args))
+    with Elapsed("adapting the model", silent=args.json) as progress:
+        found = learn(model, runs, held_out, not args.residual_only, progress)
     for run in found.runs:
         warn_outside("model adapt", found.before, run)
     folder = save_bundle(found.model, args.out)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from softmap_edge.commands.options import CompareOptions
 
 LOOK = 0.25  # s between two reads of the recording
-LINES = 2.0  # s between two lines if the output is no terminal
+LINES = 2.0  # s between two lines if the output is not a terminal
 BEGINS = 30.0  # s within which a recording must begin
 
 

@@ -1,8 +1,9 @@
-"""A progress bar for long work: drawn on a terminal; silent if the output is not a terminal."""
+"""Progress of long work: drawn on a terminal; silent if the output is not a terminal."""
 
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from collections.abc import Callable
 from types import TracebackType
@@ -32,6 +33,63 @@ class Ticker:
         """Print the progress if nothing was printed for a while."""
         if self._clock() - self._last >= QUIET:
             self.say(f"  … solving, {share:.0%} of this part")
+
+
+class Elapsed:
+    """Show on one terminal line what is running and for how long; call it with lines that stay.
+
+    For work that cannot state its completed share. The line is redrawn every `pace` seconds and
+    cleared at the end; nothing is written if the output is not a terminal.
+    """
+
+    def __init__(
+        self,
+        what: str,
+        silent: bool = False,
+        clock: Callable[[], float] = time.monotonic,
+        pace: float = 1.0,
+    ) -> None:
+        self._what, self._clock, self._pace = printable(what), clock, pace
+        self._silent = silent or not sys.stderr.isatty()
+        self._wide = 0  # of the drawn line
+        self._lock, self._over = threading.Lock(), threading.Event()
+        self._redraws = threading.Thread(target=self._redraw, name="elapsed", daemon=True)
+        self._began = clock()
+
+    def __enter__(self) -> Self:
+        if not self._silent:
+            self._redraws.start()
+        return self
+
+    def __call__(self, line: str) -> None:
+        """Print a line above the drawn one."""
+        if not self._silent:
+            with self._lock:
+                self._clear()
+                print(printable(line), file=raw(sys.stderr), flush=True)
+
+    def _redraw(self) -> None:
+        while not self._over.wait(self._pace):
+            with self._lock:
+                text = f"{self._what} … {self._clock() - self._began:.0f} s"
+                print(f"\r{text:<{self._wide}}", end="", file=raw(sys.stderr), flush=True)
+                self._wide = len(text)
+
+    def _clear(self) -> None:
+        if self._wide:
+            print(f"\r{' ' * self._wide}\r", end="", file=raw(sys.stderr), flush=True)
+        self._wide = 0
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._over.set()
+        if not self._silent:
+            self._redraws.join()
+            self._clear()
 
 
 class Bar:

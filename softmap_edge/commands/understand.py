@@ -5,14 +5,13 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from softmap_edge.commands.options import CompareOptions
 from softmap_edge.commands.output import (
-    JsonOption,
     bundle_arguments,
     check_bundle,
     check_file,
@@ -20,7 +19,7 @@ from softmap_edge.commands.output import (
     next_command,
 )
 from softmap_edge.commands.own import BUILTIN, effects_argument, load_own, open_model
-from softmap_edge.commands.progress import Bar
+from softmap_edge.commands.progress import Bar, Elapsed
 from softmap_edge.commands.seeing import camera_arguments
 from softmap_edge.errors import SoftmapError, no_name
 from softmap_edge.files.atomic import Document, write_atomically
@@ -128,8 +127,7 @@ def _nothing_left(before: Comparison, after: Comparison) -> str | None:
     gone = fall(old, new, floor)
     if gone is not None and gone >= REMOVED:
         return (
-            f"{percent(gone)} of the error above the noise floor is gone: this run validates the "
-            "second model."
+            f"{percent(gone)} of the removable error is gone: this run validates the second model."
         )
     return None
 
@@ -209,7 +207,8 @@ def diagnose(args: DiagnoseOptions) -> int:
     held_out = None if args.held_out is None else open_run(args.held_out, model)
     for run in [*runs, *references]:
         warn_outside("diagnose", model, run)
-    found = find(model, runs, held_out, searched, teller(args), reference=references or None)
+    with Elapsed("searching for missing effects", silent=args.json) as progress:
+        found = find(model, runs, held_out, searched, progress, reference=references or None)
     text = json.dumps(found.to_dict(), indent=1) if args.json else str(found)
     try:  # files before the text: a reader may close the pipe
         if args.out:
@@ -532,13 +531,6 @@ def _write(args: AddOptions | RemoveOptions | RefitOptions, model: Model, report
         )
     )
     return 0
-
-
-def teller(args: JsonOption) -> Callable[[str], None] | None:
-    """Return a function that prints progress; None with --json, or without a terminal."""
-    if args.json or not sys.stderr.isatty():
-        return None
-    return lambda line: print(line, file=sys.stderr)
 
 
 def _write_json(path: str, document: Document) -> None:

@@ -211,13 +211,10 @@ def _pair_sentence(old: float, new: float, floor: float | None, unit: str) -> st
             f"The error ROSE from {mm(old)} to {mm(new)} {unit} RMS: the second model is worse on "
             "this run."
         )
-    share, removable = fall(old, new), fall(old, new, floor) if floor and new > floor else None
-    text = f"The error falls from {mm(old)} to {mm(new)} {unit} RMS ({percent(share)})"
-    return text + (
-        f"; of what lies above the noise floor, {percent(removable)} is gone."
-        if removable is not None
-        else "."
-    )
+    text = f"The error falls from {mm(old)} to {mm(new)} {unit} RMS"
+    if floor and new > floor:
+        return f"{text}; {percent(fall(old, new, floor))} of the removable error is gone."
+    return f"{text} ({percent(fall(old, new))})."
 
 
 def _pair_row(label: str, old: float, new: float) -> str:

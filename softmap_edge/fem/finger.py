@@ -20,7 +20,6 @@ from softmap_edge.fem.numbers import (
     check_keys,
     check_number,
     check_vector,
-    finite,
     listed,
     names,
     sequence,
@@ -34,7 +33,7 @@ from softmap_edge.fem.tendons import (
     tendon_from,
     unit_of,
 )
-from softmap_edge.files.atomic import Document, own_text
+from softmap_edge.files.atomic import Document, finite, own_text
 from softmap_edge.files.toml import parsed, quoted
 
 __all__ = ["Finger", "Region", "Tendon"]

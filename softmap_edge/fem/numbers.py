@@ -5,11 +5,11 @@ Each error states the field, its value and the allowed values.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from softmap_edge.errors import FingerError
+from softmap_edge.files.atomic import finite
 
 Pairs = tuple[tuple[float, float], ...]
 Vector = tuple[float, float, float]
@@ -73,7 +73,7 @@ def check_count(field: str, value: object, low: int, high: int, usual: str) -> N
 
 def check_number(field: str, value: object, low: float, high: float, remedy: str) -> None:
     """Check a number. Raises FingerError."""
-    if not isinstance(value, int | float) or not finite(value) or not low <= value <= high:
+    if not finite(value) or not low <= value <= high:
         raise FingerError(f"{field}: {shown(value)}; allowed is {low:g} to {high:g}; {remedy}")
 
 
@@ -87,14 +87,6 @@ def check_vector(field: str, value: object, low: float, high: float, remedy: str
         raise FingerError(
             f"{field}: {shown(value)}; expected three numbers from {low:g} to {high:g}; {remedy}"
         )
-
-
-def finite(value: object) -> bool:
-    """Whether `value` is a number that can be one of mm, MPa or N."""
-    # numpy numbers are floats or have __float__; bool is an int, but not a number here
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return False
-    return abs(value) < 1e300 and math.isfinite(value)
 
 
 def at(pairs: Pairs, z: float) -> float:

@@ -23,13 +23,12 @@ from softmap_edge.fem.numbers import (
     check_number,
     check_pairs,
     check_points,
-    finite,
     listed,
     names,
     rows,
     shown,
 )
-from softmap_edge.files.atomic import Document
+from softmap_edge.files.atomic import Document, finite
 from softmap_edge.files.toml import quoted
 
 Formula = tuple[float, float, list[tuple[float, float]]]

@@ -1,15 +1,17 @@
-"""Write files and folders that are complete or absent; read the texts of this package."""
+"""Write files and folders that are complete or absent; read texts and numbers of documents."""
 
 from __future__ import annotations
 
 import errno
+import hashlib
 import os
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 from softmap_edge.errors import SoftmapError
 
@@ -17,6 +19,15 @@ Document = dict[str, Any]  # content of a JSON or TOML file
 
 _LONGEST_PREFIX = 40  # characters: a name of any allowed length has room for a temporary one
 MOST_TEXT = 64 << 20  # bytes of a document at most
+
+
+def finite(value: object, most: float = sys.float_info.max) -> TypeGuard[float]:
+    """Return whether a value of a document is a number within ±`most`.
+
+    True and false are not numbers, though Python counts them as integers. NaN, infinity and an
+    integer that no float can hold are not within any limit.
+    """
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= most
 
 
 def write_atomically(path: str | Path, content: str | bytes) -> None:
@@ -102,6 +113,12 @@ def _mask() -> int:
     return mask
 
 
+def sha256_of(file: Path) -> str:
+    """Return the SHA-256 of a file's bytes, 64 hexadecimal digits."""
+    with file.open("rb") as content:
+        return hashlib.file_digest(content, "sha256").hexdigest()
+
+
 def own_text(path: str | Path, most: int, *, keep_line_ends: bool = False) -> str:
     """Return the text of a file of at most `most` bytes, without its byte order mark.
 
@@ -113,7 +130,7 @@ def own_text(path: str | Path, most: int, *, keep_line_ends: bool = False) -> st
         keep_line_ends: leave CR and CR LF as they are; otherwise each becomes a line feed.
 
     Raises:
-        OSError: it cannot be opened, is no regular file or is too long; `strerror` is the reason.
+        OSError: it cannot be opened, is not a regular file or is too long; `strerror` is the reason.
         UnicodeDecodeError: it is not UTF-8.
     """
     file = Path(path)
@@ -132,7 +149,7 @@ def read_document(path: str | Path, error: type[SoftmapError] = SoftmapError) ->
     """Return a document's text; raise `error` if it is not a text file or too large."""
     file = Path(path)
     if file.exists() and not file.is_file():
-        raise error(f"{path}: no file; give a document")
+        raise error(f"{path}: not a file; give a document")
     if file.exists() and file.stat().st_size > MOST_TEXT:
         raise error(
             f"{path}: {file.stat().st_size >> 20} MB, documents of up to {MOST_TEXT >> 20} MB are "

@@ -1,10 +1,12 @@
-"""Format numbers in reports: lengths, shares, text bars, excessive numbers and folded lines."""
+"""Format the numbers of reports: lengths, shares, bars, folded lines."""
 
 from __future__ import annotations
 
 import math
 import re
 import textwrap
+
+from softmap_edge.files.atomic import finite
 
 WIDTH = 100  # characters of a line
 BAR = 28
@@ -27,7 +29,7 @@ def bar(value: float, scale: float, width: int = BAR) -> str:
 
 def mm(value: object) -> str:
     """Return a length with three figures ('0.123', '12.3'), or '–' if unknown."""
-    if not isinstance(value, (int, float)) or not math.isfinite(value):
+    if not finite(value):
         return "–"
     if abs(value) >= LARGEST:
         return f"{value:.1e}"
@@ -37,13 +39,16 @@ def mm(value: object) -> str:
 
 
 def fall(before: float, after: float, floor: float | None = None) -> float | None:
-    """Return the share by which the error above `floor` (default 0) falls.
+    """Return the share by which the error above `floor` (default 0) falls, at most 1.
 
-    None if no error exceeds the floor.
+    An error below the floor is noise, so all that could be removed is gone. None if no error
+    exceeds the floor.
     """
     base = floor or 0.0
     removable = before - base
-    return (before - after) / removable if removable > 0 and math.isfinite(after) else None
+    if removable <= 0 or not math.isfinite(after):
+        return None
+    return min(1.0, (before - after) / removable)
 
 
 def percent(share: object) -> str:
@@ -56,7 +61,7 @@ def percent(share: object) -> str:
 
 def number(value: object) -> float | None:
     """Return a finite number as a float, anything else as None."""
-    return float(value) if isinstance(value, (int, float)) and math.isfinite(value) else None
+    return float(value) if finite(value) else None
 
 
 def tamed(text: object) -> str:

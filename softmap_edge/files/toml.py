@@ -47,7 +47,7 @@ def parsed(text: str) -> Document:
     """Return the tables of a TOML text.
 
     Raises:
-        tomllib.TOMLDecodeError: it is no TOML, or a key has more than `MOST_PARTS` parts.
+        tomllib.TOMLDecodeError: it is not TOML, or a key has more than `MOST_PARTS` parts.
     """
     if long := next((token for token in _TOKENS.finditer(text) if token["long"]), None):
         line = text.count("\n", 0, long.start()) + 1

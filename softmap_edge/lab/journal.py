@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import fcntl
 import json
-import math
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -19,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from softmap_edge.errors import LabError
-from softmap_edge.files.atomic import Document
+from softmap_edge.files.atomic import Document, finite
 from softmap_edge.files.printable import one_line
 
 SCHEMA = "softmap.lab/1"
@@ -87,7 +86,7 @@ class State:
         """Return the state after a line of the journal.
 
         Raises:
-            LabError: the line is no step, or there is nothing to undo or redo.
+            LabError: the line is not a step, or there is nothing to undo or redo.
         """
         do = line.get("do")
         if do == "diagnosed":
@@ -289,11 +288,9 @@ def _list(value: object) -> list[Any]:
 
 
 def _number(value: object) -> float:
-    number = value if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
-    # also true for NaN, and for an int that no float can hold
-    if not abs(number) <= LARGEST:
-        raise LabError(f"{value!r:.40} is no finite number")
-    return float(number)
+    if not finite(value, LARGEST):
+        raise LabError(f"{value!r:.40} is not a number within ±{LARGEST:g}")
+    return float(value)
 
 
 def names_in(value: object) -> tuple[str, ...]:
@@ -305,7 +302,7 @@ def names_in(value: object) -> tuple[str, ...]:
     names = _list(value)
     wrong = [n for n in names if not isinstance(n, str) or not 0 < len(n) <= LONGEST_NAME]
     if wrong or len(names) > MOST_EFFECTS or len(set(names)) < len(names):
-        raise LabError(f"'effects' is no list of at most {MOST_EFFECTS} different names")
+        raise LabError(f"'effects' is not a list of at most {MOST_EFFECTS} different names")
     return tuple(names)
 
 
@@ -316,7 +313,7 @@ def numbers_in(value: object) -> dict[str, float]:
         LabError: not an object of finite numbers, or too many.
     """
     if not isinstance(value, dict) or len(value) > MOST_NUMBERS:
-        raise LabError(f"'params' is no object of at most {MOST_NUMBERS} numbers")
+        raise LabError(f"'params' is not an object of at most {MOST_NUMBERS} numbers")
     return {str(label)[:LONGEST_NAME]: _number(number) for label, number in value.items()}
 
 

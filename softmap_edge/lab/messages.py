@@ -72,7 +72,7 @@ def read_request(message: str | bytes) -> Request:
     try:
         document = json.loads(message, parse_constant=lambda name: None)
     except (ValueError, RecursionError):
-        raise BadRequest("a request is a JSON object; this is no JSON") from None
+        raise BadRequest("a request is a JSON object; this is not JSON") from None
     if not isinstance(document, dict):
         raise BadRequest("a request is a JSON object")
     number = document.get("id")

@@ -167,27 +167,45 @@ class LabServer:
         """Return the answer to a request."""
         session, re = self._session, {"re": request.id}
         match request.do:
-            case "state":
-                return text(re | {"state": self._state()})
-            case "library":
-                return text(re | {"library": session.library()})
-            case "diagnosis":
-                return text(re | {"diagnosis": session.diagnosis()})
             case "run":
                 header, arrays = frames_of(*session.view(request.run))
                 return binary(re | header, arrays)
             case "shape":
                 return binary(dict(re), shape_of(*session.seen(request.run), request.frame))
-            case "comparison":
-                return text(re | {"comparison": session.comparison(request.run)})
             case "try":
                 model = session.with_effects(request.effects, request.params)
                 error, arrays = tried(model, session.seen(request.run)[0], request.frame)
                 return binary(re | {"rms_mm": error}, arrays)
+            case do if do in CHANGING:
+                self._change(request)
+                return text(re | {"done": do})
+            case do:
+                return text(re | {do: self._document(request)})
+
+    def _document(self, request: Request) -> object:
+        """Return what a request asks for, as JSON; the session stays as it is."""
+        session = self._session
+        match request.do:
+            case "state":
+                return self._state()
+            case "library":
+                return session.library()
+            case "diagnosis":
+                return session.diagnosis()
+            case "comparison":
+                return session.comparison(request.run)
             case "fit":
-                return text(re | {"fit": session.fit(request.effects, request.params)})
+                return session.fit(request.effects, request.params)
             case "experiments":
-                return text(re | {"experiments": session.experiments()})
+                return session.experiments(
+                    lambda share: self._notify({"event": "simulating", "share": share})
+                )
+        raise LabError(f"there is no request '{request.do}'")
+
+    def _change(self, request: Request) -> None:
+        """Change the session, as one of `CHANGING`."""
+        session = self._session
+        match request.do:
             case "check":
                 session.check()
             case "diagnose":
@@ -200,4 +218,3 @@ class LabServer:
                 session.undo()
             case "redo":
                 session.redo()
-        return text(re | {"done": request.do})

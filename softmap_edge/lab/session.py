@@ -21,11 +21,12 @@ from softmap_edge.checks.lost_points import without_lost
 from softmap_edge.checks.summary import summary
 from softmap_edge.comparison.comparison import compare, model_digest
 from softmap_edge.diagnosis.diagnose import diagnose
-from softmap_edge.diagnosis.document import Diagnosis
+from softmap_edge.diagnosis.document import VERDICTS, Diagnosis
 from softmap_edge.diagnosis.refit import refit
 from softmap_edge.errors import LabError, SoftmapError
 from softmap_edge.experiment.choose import next_experiment
-from softmap_edge.files.atomic import Document, write_atomically
+from softmap_edge.files.atomic import Document, finite, write_atomically
+from softmap_edge.files.numbers import fall
 from softmap_edge.files.printable import one_line
 from softmap_edge.lab.journal import MODEL, Journal, Step, as_inputs, step_document
 from softmap_edge.lab.views import Prediction, View, predicted_by, rms_of, view_of
@@ -152,9 +153,24 @@ class Session:
         }
 
     def diagnosis(self) -> Document | None:
-        """Return the newest diagnosis of the folder; None without one."""
+        """Return the newest diagnosis of the folder, for the page; None without one.
+
+        Besides the entries of the document it has `verdict_text` and `removed`, the share of the
+        removable error that the named effects remove (None if there is nothing to count).
+        """
         file = self.journal.state.diagnosed
-        return None if file is None else Diagnosis.load(self.journal.folder / file).to_dict()
+        if file is None:
+            return None
+        document = Diagnosis.load(self.journal.folder / file).to_dict()
+        error = document["error"]
+        last: float | None = error["ladder"][-1]["value"] if error["ladder"] else None
+        before, floor = error["model"], error["floor"]
+        return document | {
+            "verdict_text": VERDICTS[document["verdict"]],
+            "removed": fall(before, last, floor)
+            if finite(before) and finite(last) and finite(floor)
+            else None,
+        }
 
     def library(self) -> list[Document]:
         """Return the effects that can be added, with the ranges of their parameters here."""
@@ -285,13 +301,17 @@ class Session:
             write_atomically(self.journal.folder / file, text)
             self.journal.append({"do": "diagnosed", "file": file, "inputs": key})
 
-    def experiments(self) -> list[Document]:
-        """Simulate what to record next for the open questions of the present diagnosis."""
+    def experiments(self, progress: Callable[[float], None]) -> list[Document]:
+        """Simulate what to record next for the open questions of the present diagnosis.
+
+        Args:
+            progress: called with the completed share.
+        """
         state = self.journal.state
         if state.diagnosed is None or state.diagnosed_for != self.key:
             raise LabError("experiments need a diagnosis of these runs and this model first")
         found = Diagnosis.load(self.journal.folder / state.diagnosed)
-        blocks = next_experiment(self.model, found, [self.runs[0].run])
+        blocks = next_experiment(self.model, found, [self.runs[0].run], progress=progress)
         return [one.to_dict() | {"alone": one.alone} for one in blocks]
 
     # --- add --------------------------------------------------------------------------------

@@ -54,6 +54,7 @@ class View:
     section_names: list[str]
     before: Prediction
     sample: NDArray[np.int64]  # indices of at most TRY_FRAMES frames
+    gravity: Floats | None  # (K, 3) unit vectors in the base frame, None if not declared
 
 
 def view_of(model: Model, run: Run) -> View:
@@ -96,6 +97,7 @@ def view_of(model: Model, run: Run) -> View:
         section_names=names or [f"{k + 1}{ends.get(k, '')}" for k in range(len(kinds))],
         before=_prediction(model, predicted, seen, visible, sections),
         sample=np.arange(0, len(seen), step),
+        gravity=state.gravity,
     )
 
 
@@ -139,6 +141,7 @@ def frames_of(view: View, after: Prediction | None) -> tuple[Document, dict[str,
         "command": view.command,
     }
     arrays |= {} if after is None else {"after": after.squared}
+    arrays |= {} if view.gravity is None else {"gravity": view.gravity}
     arrays |= {f"class_{name}": index for name, (_, index) in view.classes.items()}
     for number, loop in enumerate(loops):
         arrays |= {f"loop{number}_command": loop.command, f"loop{number}_seen": loop.seen}

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from softmap_edge.logs.flags import is_switch
 from softmap_edge.logs.goals import is_goal
-from softmap_edge.logs.guess_columns import Role, Sheet
+from softmap_edge.logs.guess_columns import Role
+from softmap_edge.logs.guess_sheets import Sheet
 from softmap_edge.logs.triples import LeftOut
 
 Array = NDArray[np.float64]

@@ -22,16 +22,10 @@ from softmap_edge.files.atomic import Document
 from softmap_edge.files.printable import listed, plain_line
 from softmap_edge.logs.drive_roles import drives_of, switches_of
 from softmap_edge.logs.fills import unread_ticks
-from softmap_edge.logs.guess_columns import (
-    TRACKED,
-    Role,
-    Sheet,
-    drive_unit,
-    read_sheets,
-    roles_of,
-)
+from softmap_edge.logs.guess_columns import TRACKED, Role, drive_unit, roles_of
 from softmap_edge.logs.guess_parts import joined_parts
 from softmap_edge.logs.guess_points import find_points, places_of
+from softmap_edge.logs.guess_sheets import Sheet, read_sheets
 from softmap_edge.logs.guess_text import Found, mapping_text, seconds
 from softmap_edge.logs.guess_time import RATE_HZ, time_of
 from softmap_edge.logs.importer import import_logs

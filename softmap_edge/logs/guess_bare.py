@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.logs.drive_roles import is_unit_quaternion
-from softmap_edge.logs.guess_columns import Sheet
+from softmap_edge.logs.guess_sheets import Sheet
 
 Array = NDArray[np.float64]
 _SMOOTH = 0.35  # of the spread of a column: largest usual step between rows

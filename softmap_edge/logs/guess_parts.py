@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from softmap_edge.logs.guess_columns import ROWS, Sheet
+from softmap_edge.logs.guess_sheets import ROWS, Sheet
 from softmap_edge.logs.guess_time import TimeFound, time_of
 from softmap_edge.logs.numbered import without_numbers
 

@@ -24,7 +24,7 @@ from softmap_edge.logs.readers.pivoted import MOST_MARKERS, frames_of
 from softmap_edge.logs.time_names import TIME_NAME, is_time_name, time_unit
 
 if TYPE_CHECKING:
-    from softmap_edge.logs.guess_columns import Sheet
+    from softmap_edge.logs.guess_sheets import Sheet
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]

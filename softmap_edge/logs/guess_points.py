@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from softmap_edge.files.printable import listed
 from softmap_edge.logs.flags import REASON
 from softmap_edge.logs.guess_bare import places_by_value
-from softmap_edge.logs.guess_columns import Sheet, label_of, length_unit, points_of, stated_of
+from softmap_edge.logs.guess_columns import label_of, length_unit, points_of, stated_of
+from softmap_edge.logs.guess_sheets import Sheet
 from softmap_edge.logs.guess_text import Found
 from softmap_edge.logs.left_out import by_reason, no_place, no_role, worth
 from softmap_edge.logs.likelihood import PIXEL_WORDS

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from softmap_edge.files.printable import one_line
 from softmap_edge.files.toml import quoted
-from softmap_edge.logs.guess_columns import Role, Sheet
+from softmap_edge.logs.guess_columns import Role
+from softmap_edge.logs.guess_sheets import Sheet
 from softmap_edge.logs.guess_time import TimeFound, cell
 from softmap_edge.logs.mapping import ANGLE, FILE, LENGTH, LIKELIHOOD, PIXEL, SCHEMA
 from softmap_edge.logs.triples import LeftOut

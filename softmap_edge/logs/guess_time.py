@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from softmap_edge.files.toml import quoted
 from softmap_edge.logs.clock import counting_on, find_jump, find_steps
 from softmap_edge.logs.epochs import YEARS, readings_of, without_date
-from softmap_edge.logs.guess_columns import Sheet, last_of
+from softmap_edge.logs.guess_columns import last_of
 from softmap_edge.logs.guess_falls import counts_of_roll, treatment
+from softmap_edge.logs.guess_sheets import Sheet
 from softmap_edge.logs.readers.cells import is_value
 from softmap_edge.logs.readers.clock_cells import packed_of
 from softmap_edge.logs.time_keys import NO_TIME, TIME, Clock, fractions

@@ -11,7 +11,6 @@ tests/test_import*.py; docs/reference/mapping.md lists the keys.
 from __future__ import annotations
 
 import fnmatch
-import hashlib
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -22,7 +21,7 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import RunError, differing_times
-from softmap_edge.files.atomic import Document
+from softmap_edge.files.atomic import Document, sha256_of
 from softmap_edge.files.mcap_records import Damage
 from softmap_edge.files.printable import listed, plain_line
 from softmap_edge.logs.clock import corrected
@@ -148,7 +147,7 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
         )
     files = list(dict.fromkeys(part.path for one in logs for part in one.parts))
     _constants(files, mapping, fields, notes)
-    made_from = [f"{path.name} sha256 {_sha256(path)}" for path in files]
+    made_from = [f"{path.name} sha256 {sha256_of(path)}" for path in files]
     extra = {
         name: fields.pop(name)
         for name in ("base_markers", "marker_labels", PLANE)
@@ -237,11 +236,6 @@ def _unused_time(names: Sequence[str]) -> list[str]:
         "used, and nothing "
         "about rates or delays is identified; name one in `time` if it holds the time"
     ]
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 # --- the rows of the run -------------------------------------------------------------------

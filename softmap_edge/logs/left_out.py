@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from softmap_edge.files.printable import listed
-from softmap_edge.logs.guess_columns import Sheet
+from softmap_edge.logs.guess_sheets import Sheet
 from softmap_edge.logs.triples import LeftOut, Triples
 
 _NAMED = 12  # columns of one kind that are listed

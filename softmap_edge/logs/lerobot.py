@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from softmap_edge.errors import RunError, brief
-from softmap_edge.files.atomic import Document, own_text
+from softmap_edge.files.atomic import Document, finite, own_text
 from softmap_edge.files.printable import listed
 
 EITHER_UNIT = (
@@ -95,7 +95,7 @@ def read_info(path: Path) -> Info:
     if not isinstance(features, dict):
         raise RunError(f"{path}: has no `features`; expected the info of a LeRobot dataset")
     fps = document.get("fps")
-    known = isinstance(fps, int | float) and not isinstance(fps, bool) and 1e-3 <= fps <= 1e5
+    known = finite(fps) and 1e-3 <= fps <= 1e5
     names = {
         name: found
         for name, feature in list(features.items())[:_MOST]

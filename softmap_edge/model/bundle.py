@@ -29,9 +29,7 @@ safety.toml     limits of the finger (`safety.py`); may be edited. A hash that d
 
 from __future__ import annotations
 
-import hashlib
 import json
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
@@ -42,14 +40,20 @@ import numpy as np
 
 from softmap_edge import _core
 from softmap_edge.errors import BundleError, CalibrationError, SoftmapError, brief
-from softmap_edge.files.atomic import MOST_TEXT, Document, own_text, replacement_of_folder
+from softmap_edge.files.atomic import (
+    MOST_TEXT,
+    Document,
+    finite,
+    own_text,
+    replacement_of_folder,
+    sha256_of,
+)
 from softmap_edge.files.npz import Arrays, read_npz, write_npz
 from softmap_edge.model.manifest import (
     LARGEST,
     MAX_EFFECT_BYTES,
     MAX_ONNX_BYTES,
     check_within,
-    finite_number,
     load_manifest,
     read_json,
 )
@@ -147,7 +151,7 @@ def _write(model: Model, arrays: BundleArrays, partial: Path) -> None:
         "stiffness_known": model.structure.stiffness_known,
         "made_from": dict(model.made_from),
         "written_by": f"softmap-edge {__version__}",
-        "sha256": {name: _sha256(partial / name) for name in files},
+        "sha256": {name: sha256_of(partial / name) for name in files},
     }
     if model.output is not None:
         manifest["output"] = model.output.to_dict()
@@ -239,7 +243,7 @@ def load_bundle(
             )
         check_within(folder / name)
         _check_size(folder / name)
-        if name != SAFETY and _sha256(folder / name) != (
+        if name != SAFETY and sha256_of(folder / name) != (
             manifest["sha256"] | _own_hashes(manifest)
         ).get(name):
             raise BundleError(
@@ -465,11 +469,11 @@ def _safety(folder: Path, manifest: Document) -> Safety | None:
     try:
         text = own_text(file, MOST_TEXT)
     except UnicodeDecodeError:
-        raise BundleError(f"{folder.name}: {SAFETY} is no text; copy it again") from None
+        raise BundleError(f"{folder.name}: {SAFETY} is not text; copy it again") from None
     read = read_safety(
         text, reach, str(manifest.get("command_unit", "mm")), f"{folder.name}: {SAFETY}"
     )
-    return replace(read, edited=_sha256(file) != manifest["sha256"][SAFETY])
+    return replace(read, edited=sha256_of(file) != manifest["sha256"][SAFETY])
 
 
 def load_chain(path: str | Path) -> tuple[list[str], dict[str, float]]:
@@ -483,7 +487,7 @@ def load_chain(path: str | Path) -> tuple[list[str], dict[str, float]]:
         or not isinstance(params, dict)
     ):
         raise BundleError(f"{folder.name}: effects.json needs a list `chain` and a table `params`")
-    if not all(finite_number(v) for v in params.values()):
+    if not all(finite(v, LARGEST) for v in params.values()):
         raise BundleError(
             f"{folder.name}: effects.json: every parameter must be a number within ±{LARGEST:g}"
         )
@@ -515,11 +519,7 @@ def _is_piece(part: object) -> bool:
     """Return whether `part` is the hash of a recording with two times (s)."""
     if not isinstance(part, list) or len(part) != 3:
         return False
-    return (
-        isinstance(part[0], str)
-        and len(part[0]) == 64
-        and all(type(t) is float and math.isfinite(t) for t in part[1:])
-    )
+    return isinstance(part[0], str) and len(part[0]) == 64 and all(map(finite, part[1:]))
 
 
 def _check_size(file: Path) -> None:
@@ -530,8 +530,3 @@ def _check_size(file: Path) -> None:
             f"{file.parent.name}: {file.name} has {size} bytes, at most {most} are read; build or "
             "copy it again"
         )
-
-
-def _sha256(file: Path) -> str:
-    with file.open("rb") as content:
-        return hashlib.file_digest(content, "sha256").hexdigest()

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, fields
 from typing import Literal, get_args
 
 from softmap_edge.errors import SoftmapError
-from softmap_edge.files.atomic import Document
+from softmap_edge.files.atomic import Document, finite
 
 Certainty = Literal["identified", "ambiguous", "open", "unknown"]
 MOST = 32  # records, numbers or alternatives in a list
@@ -157,10 +157,7 @@ def _fits(value: object, of: str) -> bool:
     if of == "bool":
         return isinstance(value, bool)
     if of == "float":
-        # the limit also excludes NaN, and an int that no float can hold
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            return False
-        return abs(value) <= LARGEST
+        return finite(value, LARGEST)
     if of in ("str", "Certainty"):
         return isinstance(value, str) and len(value) <= LONGEST and value.isprintable()
     return isinstance(value, list | tuple) and len(value) <= MOST

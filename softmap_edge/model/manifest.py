@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from softmap_edge.errors import BundleError, brief
-from softmap_edge.files.atomic import Document, own_text
+from softmap_edge.files.atomic import Document, finite, own_text
 
 # 2: scattered families, bodies without a mesh; 3: user-defined effects, design fields, steps; 4: a
 # residual; 5: networks; 6: a calibration, handles; 7: limits (safety.toml); 8: outputs other than
@@ -118,17 +118,12 @@ def _plain(value: object) -> bool:
     return isinstance(value, str) and len(value) <= 100 and value.isprintable()
 
 
-def finite_number(value: object) -> bool:
-    """Return whether a value of a document is a number within ±`LARGEST`."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
-
-
 def _interval(value: object) -> bool:
     return isinstance(value, list) and _floats(value, 2) and bool(value[0] < value[1])
 
 
 def _error(value: object) -> bool:
-    return isinstance(value, int | float) and finite_number(value) and value >= 0
+    return finite(value, LARGEST) and value >= 0
 
 
 def _file_hashes(value: object) -> bool:
@@ -149,7 +144,9 @@ def _digest(value: object) -> bool:
 
 
 def _floats(value: object, length: int) -> bool:
-    return isinstance(value, list) and len(value) == length and all(finite_number(v) for v in value)
+    return (
+        isinstance(value, list) and len(value) == length and all(finite(v, LARGEST) for v in value)
+    )
 
 
 def read_json(file: Path) -> Document:

@@ -330,7 +330,7 @@ def _driven_by(run: Run, unit: str) -> Calibration | None:
         found = Calibration.from_dict(json.loads(kept))
     except (ValueError, RecursionError):
         raise CalibrationError(
-            f"the field `{CALIBRATION}` of the run is no calibration; leave it out"
+            f"the field `{CALIBRATION}` of the run is not a calibration; leave it out"
         ) from None
     return found if found.unit == unit else None
 

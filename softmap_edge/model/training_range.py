@@ -176,7 +176,7 @@ def check_commands(model: Model, run: Run, u: Floats) -> None:
     if u.shape[1] and units == {"mm", "N"}:
         raise RunError(
             f"the run's commands are in {run.command_unit}, this model of '{model.robot}' takes "
-            f"{model.command_unit}; a length is no tension: give the run's own unit or another "
+            f"{model.command_unit}; a length is not a tension: give the run's own unit or another "
             "model"
         )
 

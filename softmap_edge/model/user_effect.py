@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import EffectError, brief
-from softmap_edge.files.atomic import Document
+from softmap_edge.files.atomic import Document, finite
 from softmap_edge.model.effect_info import registry
 from softmap_edge.model.manifest import EFFECT_NAME, MAX_EFFECT_BYTES
 
@@ -296,11 +296,7 @@ def _parameter(where: str, given: object) -> Document:
     found["per_channel"] |= found["shared"]  # one number per channel, shared in a fit or not
     for key in _NUMBERS:
         value = found[key]
-        if (
-            isinstance(value, bool)
-            or not isinstance(value, int | float)
-            or not abs(value) <= sys.float_info.max  # NaN, inf, or an int that no float can hold
-        ):
+        if not finite(value):
             raise EffectError(f"{where}: {label}: {key} is {value!r:.40}, expected a finite number")
         found[key] = float(value)
     if not (found["low"] < found["high"] and found["low"] <= found["start"] <= found["high"]):
@@ -346,7 +342,7 @@ def _text(where: str, key: str, value: object) -> str:
 def _pair(where: str, value: object) -> tuple[object, float]:
     if isinstance(value, list | tuple) and len(value) == 2:
         block, minutes = value
-        if isinstance(minutes, int | float) and 0 < minutes < 1e4:
+        if finite(minutes) and 0 < minutes < 1e4:
             return block, float(minutes)
     raise EffectError(
         f"{where}: experiment is {value!r:.60}, expected what to record and how many minutes that "

@@ -127,15 +127,8 @@ def _pair_cards(shown: ShownErrors, unit: str) -> list[Card]:
     if number(shown.after) is not None and number(shown.before) is not None:
         note = f"RMS, {shown.what}"
         rows.append(Card(f"{shown.held}error after", f"{mm(shown.after)} {unit}", note, "after"))
-        raw = percent(fall(float(shown.before or 0.0), float(shown.after or 0.0)))
-        rows.append(
-            Card(
-                "of the removable error gone",
-                percent(shown.share),
-                f"{raw} of the raw error; {shown.data}",
-                "after",
-            )
-        )
+        name = "of the removable error gone" if shown.removable else "of the error gone"
+        rows.append(Card(name, percent(shown.share), shown.data, "after"))
     most = "≤ " if shown.bound and shown.floor is not None else ""
     label = "floor, an upper bound" if most else "floor"
     return [*rows, Card(label, f"{most}{mm(shown.floor)} {unit}", shown.floor_kind, "floor")]

@@ -12,6 +12,7 @@ import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import matplotlib
@@ -20,12 +21,14 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
+from matplotlib.text import Annotation, Text
+from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
 from softmap_edge.comparison.series import Series
 from softmap_edge.comparison.text import WHERE
 from softmap_edge.diagnosis.text import ladder_steps
-from softmap_edge.files.atomic import Document
+from softmap_edge.files.atomic import Document, finite
 from softmap_edge.files.numbers import mm
 from softmap_edge.run.in_unit import PLACES
 
@@ -63,6 +66,7 @@ STYLE: Any = {  # matplotlib types the keys one by one
 }
 WIDE = 10.4  # inches: the width of a picture that fills the page
 LABEL = 1.5  # inches left of a bar, for its label
+DOT, BESIDE = 16.0, 13.0  # points: diameter of a marker; from its middle to its label
 POINTS = 1200  # lines with more points show the RMS of equal stretches
 SIDES = (
     ("seen along −x", (1, 0)),
@@ -276,7 +280,7 @@ def ladder_bars(error: Document) -> bytes:
             axes.annotate(
                 f"{mm(value)}", (value, position), (5, 0), textcoords="offset points", va="center"
             )
-        if isinstance(floor, (int, float)) and math.isfinite(floor):
+        if finite(floor):
             axes.axvline(floor, color=INK, linewidth=1.1, linestyle=(0, (4, 3)))
             axes.annotate(
                 f"floor {mm(floor)}",
@@ -405,16 +409,16 @@ def _marker_figure(places: Floats, shown: Sequence[tuple[str, Floats]], scale: N
             zorder=2,
         )
         for k, value in enumerate(values):
-            text = f"marker {k + 1}: {mm(float(value))} mm"
-            left = x[k] > 0.5 * (x.min() + x.max())  # on the side with more room
             axes.annotate(
-                text,
+                f"marker {k + 1}: {mm(float(value))} mm",
                 (x[k], y[k]),
-                (-13 if left else 13, 0),
+                (BESIDE, 0),
                 textcoords="offset points",
                 va="center",
-                ha="right" if left else "left",
                 size=8,
+                in_layout=False,  # else a moved label would shrink the axes
+                bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5},
+                arrowprops={"arrowstyle": "-", "color": PALE, "linewidth": 0.6},
             )
         axes.set_title(f"{name}: worst marker {mm(float(np.nanmax(values)))} mm rms")
         axes.set(xlabel=f"mean {'xyz'[first]}, mm", ylabel=f"mean {'xyz'[second]}, mm")
@@ -422,7 +426,50 @@ def _marker_figure(places: Floats, shown: Sequence[tuple[str, Floats]], scale: N
         axes.grid(color=FAINT, linewidth=0.8)
         axes.set_axisbelow(True)
     _colour_bar(figure, panels, scale)
+    figure.draw_without_rendering()  # the layout decides where the markers are
+    for axes in panels:
+        _spread_labels(axes)
     return figure
+
+
+def _spread_labels(axes: Axes) -> None:
+    """Move the labels of points so that none covers another label or another point.
+
+    A label stays next to its point, on the side with more room, if nothing is there. Else it takes
+    the nearest free place above or below, with a line to its point; inside the axes if it can. If
+    there are too many labels for any free place, it stays.
+    """
+    labels = [text for text in axes.texts if isinstance(text, Annotation)]
+    points = axes.transData.transform([label.xy for label in labels])
+    pixels = axes.figure.dpi / 72.0
+    dots = [Bbox.from_bounds(*(p - DOT * pixels / 2), *(2 * [DOT * pixels])) for p in points]
+    frame = axes.get_window_extent()
+    middle, placed = 0.5 * (points[:, 0].min() + points[:, 0].max()), list[Bbox]()
+    for k, label in enumerate(labels):
+        high = 1.1 * _extent(label).height / pixels  # a line of text, points
+        most = int(frame.height / pixels / high)
+        rows = sorted(range(-most, most + 1), key=abs)
+        sides = (-1, 1) if points[k, 0] > middle else (1, -1)
+        taken = [*placed, *dots[:k], *dots[k + 1 :]]
+        candidates = [*product((True, False), rows, sides), (False, 0, sides[0])]
+        for number, (within, row, side) in enumerate(candidates, 1):
+            label.set_horizontalalignment("left" if side > 0 else "right")
+            label.xyann = (side * BESIDE, row * high)
+            box = _extent(label)
+            inside = frame.y0 <= box.y0 and box.y1 <= frame.y1
+            inside &= not within or (frame.x0 <= box.x0 and box.x1 <= frame.x1)
+            free = inside and not any(box.overlaps(other) for other in taken)
+            if free or number == len(candidates):
+                break
+        placed.append(box)
+        if label.arrow_patch is not None:
+            label.arrow_patch.set_visible(row != 0)
+
+
+def _extent(label: Annotation) -> Bbox:
+    """Return the box of a label's text, without its line, pixels."""
+    label.get_window_extent()  # moves the text to its place
+    return Text.get_window_extent(label)
 
 
 def _project(axes: Axes, surface: Surface, view: Floats, scale: Normalize) -> None:

@@ -112,7 +112,7 @@ def _other_floor(error: Document, unit: str) -> str:
         return f"The model's own held-out error is another limit: {mm(form)} {unit} RMS. "
     if noise is not None and noise != floor:
         return (
-            f"The noise estimate of {mm(noise)} {unit} RMS is no floor, because too few poses "
+            f"The noise estimate of {mm(noise)} {unit} RMS is not a floor, because too few poses "
             "repeat. "
         )
     return ""

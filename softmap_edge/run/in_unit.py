@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from softmap_edge.files.atomic import Document
+from softmap_edge.files.atomic import Document, finite
 from softmap_edge.files.numbers import mm
 from softmap_edge.run.output import Output
 
@@ -54,11 +54,7 @@ def in_unit(document: Document) -> Document:
         return dict(document)
     found: Document = lengths_in_unit(dict(document), output)
     error = dict(document.get("error") or {})
-    figures = {
-        key: value
-        for key, value in error.items()
-        if isinstance(value, (int, float)) and key not in _PLAIN
-    }
+    figures = {key: value for key, value in error.items() if finite(value) and key not in _PLAIN}
     error |= {key: output.value(value) for key, value in figures.items()}
     error["ladder"] = [
         {**row, "value": _value(row.get("value"), output)} for row in error.get("ladder") or []
@@ -96,5 +92,4 @@ def lengths_in_unit(value: object, output: Output, key: str = "") -> Any:
 
 
 def _value(value: object, output: Output) -> object:
-    known = isinstance(value, int | float) and not isinstance(value, bool)
-    return output.value(value) if isinstance(value, int | float) and known else value
+    return output.value(value) if finite(value) else value

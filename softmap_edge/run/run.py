@@ -132,7 +132,7 @@ def _load(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> Run:
 def _without_jitter(command: Array) -> Array:
     """Return commands (T, C) in which every channel that hardly changes is constant.
 
-    A change below `_NO_CHANGE` is no motion in any unit; dividing by it overflows.
+    A change below `_NO_CHANGE` is not a motion in any unit; dividing by it overflows.
     """
     if command.ndim != 2 or not command.size:
         return command

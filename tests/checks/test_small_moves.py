@@ -37,7 +37,7 @@ def test_small_moves_of_body_and_commands_are_no_matter_of_units(name):
 
 
 @pytest.mark.parametrize("name", WAVES)
-@pytest.mark.parametrize("lacks", ["the file was cut", "message 17 is no JSON"])
+@pytest.mark.parametrize("lacks", ["the file was cut", "message 17 is not JSON"])
 def test_a_recording_that_breaks_off_is_no_matter_of_units(name, lacks):
     run = replace(moved(WAVES[name], 0.1), extra={"damage": np.array(lacks)})
     text = remark(run)

@@ -50,10 +50,12 @@ def quoted(page):
 
 
 def run(words):
-    """Run one line of a newcomer: change the folder or call softmap; everything else is for the
-    shell.
+    """Run one line of a newcomer: make or change a folder, or call softmap; everything else is for
+    the shell.
     """
-    if words[0] == "cd":
+    if words[:2] == ["mkdir", "-p"]:
+        Path(words[2]).mkdir(parents=True)
+    elif words[0] == "cd":
         os.chdir(words[1])
     elif words[0] == "softmap":
         assert main(words[1:]) == 0, words
@@ -159,14 +161,18 @@ def test_the_lines_of_its_page_work_on_what_it_leaves(demo_printed, monkeypatch,
 # --- the sample log from file to validated model ------------------------------------------------
 @pytest.fixture(scope="module")
 def csv_printed(tmp_path_factory):
-    """Run every command of the page in its order; give the folder and what they print."""
+    """Run every command of the page in its order; give the folder of its files and what they
+    print.
+    """
     folder, text = tmp_path_factory.mktemp("csv"), io.StringIO()
     shutil.copytree(ROOT / "examples", folder / "examples")
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(text):
         patch.chdir(folder)
         for words in commands(CSV):
             run(words)
-    return folder, text.getvalue()
+        own = Path.cwd()
+    assert own != folder and {path.name for path in folder.iterdir()} == {"examples", "out"}
+    return own, text.getvalue()
 
 
 def test_what_the_page_quotes_is_printed_or_in_the_log(csv_printed):

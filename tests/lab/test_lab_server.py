@@ -7,6 +7,7 @@ import struct
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 from lab_runs import HIDDEN, measured, session
 from waiting import until
@@ -210,3 +211,28 @@ def test_in_a_browser_frames_move_and_a_brush_selects_everywhere(tmp_path):
             assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), name
         chromium.close()
     assert not wrong
+
+
+DIRECTIONS = ([0, 0, 1], [0, 0, -1], [1, 0, 0], [0, -0.6, 0.8], [0.36, 0.48, -0.8])
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="not run: there is no chromium here")
+def test_gravity_points_down_on_the_page_and_shapes_keep_their_form(tmp_path):
+    browser = pytest.importorskip(
+        "playwright.sync_api", reason="not run: playwright is not installed"
+    )
+    with served(tmp_path / "lab") as server, browser.sync_playwright() as p:
+        chromium = p.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        page = chromium.new_page()
+        page.goto(server.url)
+        turns = page.evaluate(
+            "async all => { const scene = await import('/scene.js');"
+            " return all.map(g => [true, false].map(hangs => scene.levelled(g, hangs))); }",
+            DIRECTIONS,
+        )
+        chromium.close()
+    for down, both in zip(DIRECTIONS, turns):
+        for turn in map(np.array, both):
+            np.testing.assert_allclose(turn @ down, [0, 0, -1], atol=1e-12)
+            np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
+            assert np.linalg.det(turn) > 0

@@ -98,11 +98,17 @@ def test_a_diagnosis_is_kept_and_its_effects_are_accepted(tmp_path):
     lab.diagnose(lambda line: None)
     assert lab.document()["diagnosis_current"]
     assert [one["name"] for one in lab.diagnosis()["effects"]] == ["backlash"]
-    rows = lab.experiments()
+    shown, shares = lab.diagnosis(), list[float]()
+    error = shown["error"]
+    before, after = error["model"], error["ladder"][-1]["value"]
+    assert shown["verdict_text"].startswith(shown["verdict"])
+    assert shown["removed"] == min(1.0, (before - after) / (before - error["floor"])) > 0.8
+    rows = lab.experiments(shares.append)
+    assert shares == sorted(shares) and shares[-1] == 1.0
     assert rows and all({"block", "minutes", "settles", "separation"} <= set(row) for row in rows)
     lab.accept_diagnosis()
     with pytest.raises(LabError, match="experiments need a diagnosis"):
-        lab.experiments()
+        lab.experiments(shares.append)
     assert not lab.document()["diagnosis_current"]
     params = lab.model.params
     lab.close()

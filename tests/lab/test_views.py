@@ -41,3 +41,14 @@ def test_a_step_changes_shape_and_error_and_a_trial_gives_the_same():
     for frame in (-1, len(view.seen)):
         with pytest.raises(LabError, match="there is no frame"):
             shape_of(view, after, frame)
+
+
+@pytest.mark.parametrize("down", [[0, 0, 1], [0, 0, -1], [0.6, 0, 0.8], None])
+def test_the_page_gets_gravity_only_where_it_is_declared(down):
+    run = measured(frames=20)
+    run = replace(run, gravity=None if down is None else np.array(down, float))
+    arrays = frames_of(view_of(builtin_model(), run), None)[1]
+    if down is None:
+        assert "gravity" not in arrays
+    else:
+        np.testing.assert_allclose(arrays["gravity"], np.tile(down, (20, 1)), atol=1e-6)

@@ -153,7 +153,7 @@ def test_what_is_out_of_range_or_unknown_is_refused_with_numbers(bundle, old, ne
 
 def test_a_file_that_is_gone_or_no_text_is_refused(bundle):
     (bundle / "safety.toml").write_bytes(b"\xff\xfe")
-    with pytest.raises(BundleError, match="is no text"):
+    with pytest.raises(BundleError, match="is not text"):
         load_bundle(bundle)
     (bundle / "safety.toml").unlink()
     with pytest.raises(BundleError, match=r"safety\.toml is missing"):

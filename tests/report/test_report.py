@@ -65,7 +65,7 @@ def test_one_comparison_reads_well(pair):
 
 def test_a_pair_shows_the_fall_and_its_scale(pair):
     text = pair_text(pair[3], pair[4])
-    assert "falls from 3.46 to 0.357 mm RMS (90 %)" in text and "92 % is gone" in " ".join(
+    assert "falls from 3.46 to 0.357 mm RMS; 92 % of the removable error is gone" in " ".join(
         text.split()
     )
     assert text.count("░") > 1 and text.count("▓") == 1  # once in the legend
@@ -95,7 +95,7 @@ def test_a_run_at_its_floor_is_not_proposed_for_a_diagnosis(pair):
 
     assert off(2.0, 1.0) is None and off(1.0, 1.0) is None
     assert "within 1.5 times the noise floor" in off(0.3, 0.3)
-    assert off(3.0, 0.4).startswith("93 % of the error above the noise floor is gone")
+    assert off(3.0, 0.4).startswith("93 % of the removable error is gone")
     assert off(0.3, 0.3, "memory counts as noise: an upper bound") is None
 
 

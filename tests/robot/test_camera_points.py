@@ -273,7 +273,7 @@ def test_addresses():
     assert udp_address("udp://robot.local:1") == ("robot.local", 1)
     assert udp_address("udp://[::1]:65535") == ("::1", 65535)
     for text in ("udp://:0", "udp://a", "tcp://a:1", "udp://a:99999", "udp://u@a:1", "9870", ""):
-        with pytest.raises(LinkError, match="is no address"):
+        with pytest.raises(LinkError, match="is not an address"):
             udp_address(text)
 
 

@@ -211,7 +211,7 @@ def test_what_an_emulated_robot_cannot_be_is_reported(capsys, tmp_path):
     for more, line in (
         (["--hidden", "gravity"], "moves no tendon"),
         (["--strength", "-1"], "more than 0 and up to 10"),
-        (["--stream", "udp://x"], "is no address"),
+        (["--stream", "udp://x"], "is not an address"),
         (["--key", "k"], "give --stream"),
         (["--servos", "2", "--hidden", "backlash"], "--hide: it needs a finger"),
         (["--rig", str(tmp_path / "rig.txt")], "saved as .toml"),

@@ -119,7 +119,7 @@ def test_files_that_are_no_videos(video, tmp_path):
     (tmp_path / "text.mp4").write_text("no video")
     (tmp_path / "empty.mp4").write_bytes(b"")
     for name in ("text.mp4", "empty.mp4"):
-        with pytest.raises(TeleopError, match="is no video that can be read"):
+        with pytest.raises(TeleopError, match="is not a video that can be read"):
             FileFrames(tmp_path / name)
     content = video.read_bytes()
     cut = tmp_path / "cut.avi"
@@ -252,9 +252,9 @@ def test_a_device_that_is_no_camera_or_gone_lists_those_there(dev, tmp_path):
         (dev / "video5", "is not there"),
         (dev / "v4l/by-id/usb-Other-video-index0", "is not there"),
         (dev / "v4l/by-id/usb-Gone_Cam-video-index0", "links to camera 9, now gone"),
-        (dev / "v4l", "is no camera"),
+        (dev / "v4l", "is not a camera"),
         (dev / "video123456", "is not there"),
-        ("/dev/null", "is no camera"),
+        ("/dev/null", "is not a camera"),
     ):
         with pytest.raises(TeleopError) as fault:
             source(str(path))

@@ -87,12 +87,12 @@ def test_bombs_and_other_contents_are_refused(tmp_path, monkeypatch):
         "more than 1 MB": wheel(tmp_path / "bomb.whl", **{LANDMARKS: bomb}),
         "are compressed": archive(tmp_path / "packed.task", good, zipfile.ZIP_DEFLATED),
         "holds no model of hands": archive(tmp_path / "other.zip", [*good, ("run.sh", b"")]),
-        "no network in TFLite": wheel(tmp_path / "text.whl", **{DETECTOR: b"hello"}),
+        "not a network in TFLite": wheel(tmp_path / "text.whl", **{DETECTOR: b"hello"}),
         "of different names": archive(
             tmp_path / "many.zip", [(f"{k}", b"") for k in range(20_001)]
         ),
         "no such file": tmp_path / "absent.whl",
-        "is no zip archive": tmp_path / "text.task",
+        "is not a zip archive": tmp_path / "text.task",
     }
     (tmp_path / "text.task").write_text("no archive")
     with pytest.warns(UserWarning, match="Duplicate name"):

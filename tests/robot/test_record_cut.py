@@ -130,8 +130,8 @@ def test_numbers_are_read_back_to_the_last_bit(tmp_path):
 @pytest.mark.parametrize(
     ("stamp", "points", "said"),
     [
-        (np.nan, ODD, "no finite number"),
-        (np.inf, ODD, "no finite number"),
+        (np.nan, ODD, "not a finite number"),
+        (np.inf, ODD, "not a finite number"),
         (1.0, np.zeros((3, 2)), "shape \\(3, 2\\)"),
         (1.0, np.zeros(6), "shape \\(6,\\)"),
         (1.0, np.zeros((POINTS + 1, 3)), "points at once"),

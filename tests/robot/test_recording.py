@@ -191,7 +191,7 @@ def test_a_changed_byte_is_reported_whatever_it_changes(recorded, tmp_path, caps
         + whole[start + len(middle) :]
     )
     assert main(["servo", "replay", str(file)]) == 1
-    assert f"message {len(messages) // 2} is no JSON" in capsys.readouterr().err
+    assert f"message {len(messages) // 2} is not JSON" in capsys.readouterr().err
     assert len(read_recording(file).periods) == len(messages) // 2 - 1
 
 

@@ -109,7 +109,7 @@ def test_what_is_damaged_at_one_place_is_read_up_to_there_and_reported(copied, c
     count = len(read_recording(copied).periods)
     changed(copied, b'"overruns":', b'"overruns";')
     line = re.compile(
-        r"drive.mcap is damaged \(message \d+ is no JSON: .*\); it is read up to \d\.\d\d s; \d+ of "
+        r"drive.mcap is damaged \(message \d+ is not JSON: .*\); it is read up to \d\.\d\d s; \d+ of "
         rf"{count + 1} messages missing"
     )
     for words in (["show"], ["check"], ["model", "predict"], ["servo", "replay"]):

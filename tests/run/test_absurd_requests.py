@@ -90,11 +90,11 @@ def test_a_bundle_of_numbers_beyond_any_robot_is_refused(file, value, tmp_path):
 def replaced(folder, name, content):
     """Write other arrays into a bundle and put its hash right."""
     before = (folder / "manifest.json").read_text()
-    from softmap_edge.model.bundle import _sha256
+    from softmap_edge.files.atomic import sha256_of
 
-    old = _sha256(folder / name)
+    old = sha256_of(folder / name)
     write_npz(folder / name, content)
-    (folder / "manifest.json").write_text(before.replace(old, _sha256(folder / name)))
+    (folder / "manifest.json").write_text(before.replace(old, sha256_of(folder / name)))
 
 
 def test_a_template_with_an_empty_slice_is_refused(tmp_path):

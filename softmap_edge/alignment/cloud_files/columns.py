@@ -1,6 +1,6 @@
 """Find the columns x, y, z of a table by their names, or else by their values.
 
-A column is no coordinate if it counts rows, is constant, or holds integers while others hold
+A column is not a coordinate if it counts rows, is constant, or holds integers while others hold
 decimals. Three columns are no places if they are unit vectors (normals) or colours. The decision is
 returned as a sentence.
 """

@@ -28,6 +28,7 @@ connect(
   event => {
     if (event.event === "busy") say({ check: "Checking …", diagnose: "Diagnosing …" }[event.do] || "Working …");
     if (event.event === "progress") $("progress").textContent = event.line;
+    if (event.event === "simulating") steps.simulating(event.share);
     if (event.event === "changed") changed(event.state);
   },
   async () => {
@@ -128,6 +129,7 @@ async function numbers(mine) {
   if (mine !== version) return;
   const e = answer.error;
   put([...first, ["tip", `${mm(e.tip_rms_mm)} mm`, "RMS"], ["95 % within", `${mm(e.p95_mm)} mm`, "of the points"], ["noise floor", `${mm(answer.noise_floor_mm)} mm`, answer.floor_is_bound ? "upper bound" : "RMS"]]);
+  steps.setFloor(answer.floor_is_bound ? 0 : answer.noise_floor_mm || 0);
   const memory = answer.memoryless_floor;
   $("floor").textContent = memory ? `No model without memory has an error below ${mm(memory.mm)} mm on the ${memory.frames} frames of repeated poses; this model has ${mm(memory.error_mm)} mm there.` : "";
 }
@@ -219,6 +221,7 @@ function draw() {
     kept.forEach((k, i) => { points.set(shape.seen.subarray(3 * k, 3 * k + 3), 3 * i); tint.set(shade, 3 * i); });
     layers.unshift({ points, colours: tint, mesh: false, alpha: 1, size: mesh ? 2.5 : 5 });
   }
+  scene.setDown(...run.down(frame));
   scene.setLayers(layers);
 }
 

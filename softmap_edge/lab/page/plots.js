@@ -263,5 +263,8 @@ export function columns(canvas, rows, floor, height) {
     c.setLineDash([4, 4]);
     c.beginPath(); c.moveTo(0, y(floor)); c.lineTo(w, y(floor)); c.stroke();
     c.setLineDash([]);
+    c.fillStyle = colour("good");
+    c.textAlign = "right";
+    c.fillText(`floor ${mm(floor)}`, w, y(floor) - 8);
   }
 }

@@ -26,11 +26,23 @@ export function colourOf(error, most) {
   return STOPS[k].map((low, i) => (low + (at - k) * (STOPS[k + 1][i] - low)) / 255);
 }
 
+const SAME = [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
+
+/** Return the rotation that takes gravity to -z by the shortest way. A robot that `hangs` is first turned over about x, so that
+ *  no turn is near 180 degrees, where its axis would jump. */
+export function levelled([x, y, z], hangs) {
+  const over = hangs ? -1 : 1, [a, b, c] = [x, over * y, over * z], w = 1 - c;
+  if (w < 1e-9) return [[1, 0, 0], [0, -over, 0], [0, 0, -over]];
+  const turn = [[1 - a * a / w, -a * b / w, a], [-a * b / w, 1 - b * b / w, b], [-a, -b, -c]];
+  return turn.map(([p, q, r]) => [p, over * q, over * r]);
+}
+
 export class Scene {
   constructor(canvas) {
     this.canvas = canvas;
     this.yaw = 0.6; this.pitch = -0.25; this.zoom = 1;
     this.layers = [];
+    this.level = SAME;
     this.triangles = new Uint16Array(0);
     this.centre = [0, 0, 0]; this.radius = 50;
     this.gl = canvas.getContext("webgl", { antialias: true, preserveDrawingBuffer: true });
@@ -71,6 +83,9 @@ export class Scene {
     this.radius = 0.62 * Math.hypot(...high.map((x, i) => x - low[i])) || 1;
   }
 
+  /** Draw along gravity: `down` is its unit vector now, `usual` its mean over the run. Without it z is up. */
+  setDown(down, usual) { this.level = down ? levelled(down, usual[2] > 0) : SAME; }
+
   /** Set the layers: {points, colours (3N), mesh (bool), alpha, size}. */
   setLayers(layers) { this.layers = layers; this.draw(); }
 
@@ -104,10 +119,11 @@ export class Scene {
   rotate(x, y) { this.yaw += x; this.pitch = Math.min(1.5, Math.max(-1.5, this.pitch + y)); this.draw(); }
   scale(by) { this.zoom = Math.min(8, Math.max(0.3, this.zoom * by)); this.draw(); }
 
-  /** Rows of the rotation: right, up, towards the viewer. The finger's z axis is up. */
+  /** Rows of the rotation: right, up, towards the viewer. Gravity points down, or the finger's z axis up. */
   axes() {
     const [cy, sy, cp, sp] = [Math.cos(this.yaw), Math.sin(this.yaw), Math.cos(this.pitch), Math.sin(this.pitch)];
-    return [[cy, -sy, 0], [-sp * sy, -sp * cy, cp], [-cp * sy, -cp * cy, -sp]];
+    const view = [[cy, -sy, 0], [-sp * sy, -sp * cy, cp], [-cp * sy, -cp * cy, -sp]];
+    return view.map(row => [0, 1, 2].map(k => row.reduce((sum, x, i) => sum + x * this.level[i][k], 0)));
   }
 
   draw() {

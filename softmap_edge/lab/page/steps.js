@@ -27,7 +27,7 @@ const number = x => Number.isFinite(x) ? Number(x.toPrecision(4)).toString() : "
 export class Steps {
   constructor(page) {
     this.page = page; this.state = null; this.library = []; this.run = null; this.diagnosis = null;
-    this.names = []; this.params = {}; this.trying = false; this.again = false; this.trial = null;
+    this.floor = 0; this.names = []; this.params = {}; this.trying = false; this.again = false; this.trial = null;
     $("library").addEventListener("change", () => this.doc());
     $("take").addEventListener("click", () => this.take());
     $("reset").addEventListener("click", () => this.reset());
@@ -62,13 +62,14 @@ export class Steps {
     if (!passed && !state.busy) $("progress").textContent = "Needs a check that passes for these runs and this model: open step 1.";
     else if (passed) $("progress").textContent = state.diagnosis_current ? "Diagnosis of these runs and this model." : "Takes a minute or less for a run of a few minutes.";
     $("simulate").disabled = !state.diagnosis_current || Boolean(state.busy);
-    $("simulated").textContent = state.diagnosis_current ? "" : "Needs a diagnosis of these runs and this model: open step 3.";
+    $("simulated").textContent = state.diagnosis_current ? "Simulates each recording with each hypothesis. This takes up to a minute; nothing moves." : "Needs a diagnosis of these runs and this model: open step 3.";
     if (accepted(before) !== accepted(state)) this.reset();
     else this.buttons();
     if (!before || JSON.stringify(before) !== JSON.stringify(state)) ask("diagnosis").then(answer => { this.diagnosis = answer.diagnosis; this.found(); }, fault => this.page.say(fault.message, true));
   }
 
-  setRun(run) { this.run = run; this.trial = null; this.draw(); if (this.changed()) this.tries(); }
+  setFloor(floor) { this.floor = floor; this.draw(); }
+  setRun(run) { this.run = run; this.trial = null; this.floor = 0; this.draw(); if (this.changed()) this.tries(); }
   moved() { if (this.changed()) this.tries(); }
   trialAt(frame) { return this.trial && this.trial.frame === frame && this.trial.run === this.page.run() ? this.trial.points : null; }
 
@@ -85,7 +86,8 @@ export class Steps {
     $("experiments").replaceChildren();
     if (!d) { root.append(make("p", "No diagnosis yet.", { className: "hint" })); $("experiments").append(make("p", "A diagnosis proposes experiments; diagnose first (step 3).", { className: "hint" })); return; }
     if (!this.state.diagnosis_current) root.append(make("p", "This diagnosis is of an earlier model. Diagnose again for the present one.", { className: "hint" }));
-    root.append(make("p", d.sentence));
+    root.append(make("p", `Verdict: ${d.verdict_text}`, { className: "verdict" }), make("p", d.sentence));
+    if (d.removed > 0) root.append(make("p", `${percent(d.removed)} of the removable error is gone: the held-out error above the floor.`));
     if (d.effects.length) {
       const adopt = make("button", `Accept ${d.effects.map(one => one.name).join(", ")}`, { type: "button", id: "adopt", disabled: !this.state.diagnosis_current || this.state.check.state !== "passed" || Boolean(this.state.busy) });
       adopt.onclick = () => ask("accept_diagnosis").catch(fault => this.page.say(fault.message, true));
@@ -97,7 +99,7 @@ export class Steps {
       const canvas = make("canvas", "", { className: "plot", id: "evidence" });
       canvas.setAttribute("role", "img");
       canvas.setAttribute("aria-label", `Held-out error: ${rows.map(row => `${row[0]} ${mm(row[1])} ${e.unit}`).join(", ")}`);
-      root.append(make("h2", `Error held out, RMS ${e.unit || "mm"}`), canvas, make("p", `Held out on ${e.held_out_on || "blocks"}.${e.floor ? ` Dashed: floor ${mm(e.floor)} (${e.floor_kind}).` : ""}${spread ? " Bar: standard error over the folds." : ""}`, { className: "hint" }));
+      root.append(make("h2", `Error held out, RMS ${e.unit || "mm"}`), canvas, make("p", `Held out on ${e.held_out_on || "blocks"}.${e.floor ? ` Floor: ${e.floor_kind}.` : ""}${spread ? " Bar: standard error over the folds." : ""}`, { className: "hint" }));
       this.evidence = () => columns(canvas, rows.map(([label, value, tint], k) => ({ label, value, colour: tint, sigma: k === rows.length - 1 && tint === "after" ? spread : 0 })), e.floor, 130);
     } else this.evidence = null;
     if (d.effects.length) {
@@ -115,12 +117,14 @@ export class Steps {
 
   experiments(rows, none = "not simulated") {
     $("experiments").replaceChildren(rows.length ? table(["experiment", "minutes", "settles", "separation (chi²)"], rows.map(one => [one.block + (one.alone || ""), number(one.minutes), one.settles.join(", ") || "–", one.separation === null ? none : number(one.separation)]))
-      : make("p", "Nothing is open: the diagnosis proposes no experiment.", { className: "hint" }), make("p", "Separation is the expected chi² difference between the hypotheses; 25 or more is decisive. The command softmap next writes the file that a robot plays.", { className: "hint" }));
+      : make("p", "Nothing is open: the diagnosis proposes no experiment.", { className: "hint" }), make("p", `Separation is the expected chi² difference between the hypotheses; 25 or more is decisive. ${rows.some(one => one.separation !== null) ? "These numbers come from a simulation with the present model" : "It is computed by a simulation"}, before anything is recorded. The command softmap next writes the file that a robot plays.`, { className: "hint" }));
   }
+
+  simulating(share) { $("simulated").textContent = `Simulating the proposed recordings … ${percent(share)}`; }
 
   async simulate() {
     $("simulate").disabled = true;
-    $("simulated").textContent = "Simulating …";
+    this.simulating(0);
     try {
       this.experiments((await ask("experiments")).experiments, "no simulated block settles it");
       $("simulated").textContent = "Simulated for the present diagnosis.";
@@ -242,7 +246,7 @@ export class Steps {
     const run = this.page.run(), base = this.state.base_errors_mm[run] ?? this.run?.rms("before", () => true);
     if (!Number.isFinite(base)) return;
     const rows = [{ label: "bundle", value: base }, ...this.state.accepted.map((step, k) => ({ label: `${k + 1} ${step.effects.join(", ") || "none"}`, value: step.errors_mm[run] ?? NaN, colour: "after" }))].filter(row => Number.isFinite(row.value));
-    columns($("ladder"), rows, 0, 120);
+    columns($("ladder"), rows, this.floor, 120);
     $("ladder").setAttribute("aria-label", rows.map(row => `${row.label} ${mm(row.value)} mm`).join(", "));
     const held = run > 0;
     $("ladder-text").textContent = `RMS in mm over all points of ${this.state.runs[run].name}; ${held ? "this run is held out: nothing was fitted to it." : "fits use this run. Choose another run above for the held-out error, or see step 3."}`;

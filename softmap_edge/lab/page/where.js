@@ -37,6 +37,14 @@ export class Run {
     return count ? Math.sqrt(sum / count) : NaN;
   }
 
+  /** Gravity in a frame and its mean over the run, in the base frame; nothing where it is not declared. */
+  down(frame) {
+    const g = this.arrays.gravity;
+    if (!g) return [];
+    this.usual ??= [0, 1, 2].map(k => g.reduce((sum, x, i) => i % 3 === k ? sum + x : sum, 0) / this.frames);
+    return [g.subarray(3 * frame, 3 * frame + 3), this.usual];
+  }
+
   /** The model that is shown last: after the steps if there are any. */
   get newest() { return this.arrays.after ? "after" : "before"; }
 }

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import GuardStopped, ServoError
+from softmap_edge.files.atomic import finite
 from softmap_edge.model.servo_calibration import Calibration
 from softmap_edge.robot.control.controller import Controller
 from softmap_edge.robot.control.emergency_key import PRESSED
@@ -292,8 +293,8 @@ def _limits(rig: Rig, asked: dict[str, float | None]) -> LoopLimits:
     table = {name: found[0] for name in names if (found := robot(name))}
     for name, value in asked.items():
         if value is not None:
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise ServoError(f"{name} is '{value!s:.20}'; give a number")
+            if not finite(value):
+                raise ServoError(f"{name} is '{value!s:.20}'; give a finite number")
             table[name] = min(value, table.get(name, value))
     # All servos use the slowest slew, so that the duration of a jog is known.
     table["jog_slew"] = min(table.get("jog_slew", JOG_SLEW), *(one["slew"] for one in servos))

@@ -27,7 +27,7 @@ class Keys:
         always: no key needs to be held, but stop keys work
 
     Raises:
-        ServoError: it is no terminal.
+        ServoError: it is not a terminal.
     """
 
     def __init__(self, file: int | None = None, *, always: bool = False) -> None:

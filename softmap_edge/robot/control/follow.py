@@ -39,7 +39,7 @@ class Following:
         """Return the periods that were added since the last call.
 
         Raises:
-            RunError: the file is no recording of a loop.
+            RunError: the file is not a recording of a loop.
         """
         try:
             messages, self.ended = self._recording.more()
@@ -55,6 +55,6 @@ class Following:
                 f"{self._path}: damaged ({type(fault).__name__} {fault!s:.60}); record again"
             ) from None
         if not all(isinstance(document, dict) for _, document in documents):
-            raise RunError(f"{self._path}: damaged (a message that is no object); record again")
+            raise RunError(f"{self._path}: damaged (a message that is not an object); record again")
         self.setup = next((document for topic, document in documents if topic == SETUP), self.setup)
         return [document for topic, document in documents if topic == LOOP]

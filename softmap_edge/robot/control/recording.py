@@ -236,7 +236,7 @@ def read_recording(path: str | Path) -> Recording:
     """Read a recording; of a truncated one, all complete periods.
 
     Raises:
-        RunError: it is no recording of a loop, or it is damaged.
+        RunError: it is not a recording of a loop, or it is damaged.
     """
     file = Path(path)
     if not file.is_file():
@@ -279,13 +279,13 @@ def _documents(
         try:
             document = json.loads(message)
         except (ValueError, RecursionError) as fault:
-            return found, f"damaged (message {len(found)} is no JSON: {fault!s:.40}); record again"
+            return found, f"damaged (message {len(found)} is not JSON: {fault!s:.40}); record again"
         try:
             servos = _servos(document, servos) if topic == LOOP else servos
         except (ValueError, KeyError, TypeError, AttributeError, IndexError) as fault:
             return (
                 found,
-                f"damaged (message {len(found)} is no period of a loop: {fault!s:.40}); record "
+                f"damaged (message {len(found)} is not a period of a loop: {fault!s:.40}); record "
                 "again",
             )
         found.append((topic, document))

@@ -41,7 +41,7 @@ def find_shortfall(
         messages: number of messages that the reader found
         read: number of messages that are used, all before the first one that is `broken`
         seconds: s from the first period to the last that is used
-        broken: why the next message is no document; None if all messages are
+        broken: why the next message is not a document; None if all messages are
     """
     why = broken or _why(file)
     with open(file, "rb") as stream:

@@ -74,7 +74,7 @@ def read_commands(path: str | Path) -> tuple[Protocol, str]:
     """Read a command file; return the protocol and the name of the robot that it was made for.
 
     Raises:
-        RunError: it is no command file, it is of a newer version, or a line is not usable; the
+        RunError: it is not a command file, it is of a newer version, or a line is not usable; the
             message names the line.
     """
     file = Path(path)

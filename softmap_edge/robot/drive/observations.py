@@ -13,7 +13,6 @@ from __future__ import annotations
 import base64
 import contextlib
 import json
-import math
 import os
 import queue
 import re
@@ -30,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RecordingBroken, RunError
-from softmap_edge.files.atomic import Document
+from softmap_edge.files.atomic import Document, finite
 from softmap_edge.files.refusals import refusal
 from softmap_edge.model.model import Model
 from softmap_edge.robot.link.frames import Frame, HostClock, Seen
@@ -349,9 +348,8 @@ def _list(found: object) -> list[Any]:
 
 
 def _number(found: object) -> float:
-    # bool is a subclass of int, but not valid here
-    if not isinstance(found, int | float) or isinstance(found, bool) or not math.isfinite(found):
-        raise ValueError(f"'{found!s:.20}' is no finite number")
+    if not finite(found):
+        raise ValueError(f"'{found!s:.20}' is not a finite number")
     return float(found)
 
 

@@ -276,7 +276,7 @@ def udp_address(text: str) -> tuple[str, int]:
     found = re.fullmatch(r"udp://(?:\[([0-9A-Fa-f:.%]+)\]|([^\[\]:/@]*)):(\d{1,5})/?", text)
     if found is None or not 1 <= int(found[3]) <= 65535:
         raise LinkError(
-            f"'{text[:80]}' is no address; give udp://HOST:PORT with a port of 1 to 65535"
+            f"'{text[:80]}' is not an address; give udp://HOST:PORT with a port of 1 to 65535"
         )
     return found[1] or found[2] or "", int(found[3])
 

@@ -54,7 +54,7 @@ def there(devices: Path = DEVICES) -> str:
 
 
 def camera_number(text: str, devices: Path = DEVICES) -> int | None:
-    """Return the number of the camera at a path; None if the path is no device.
+    """Return the number of the camera at a path; None if the path is not a device.
 
     Raises:
         TeleopError: the path is a device, but not a connected camera.
@@ -74,7 +74,7 @@ def camera_number(text: str, devices: Path = DEVICES) -> int | None:
             f"camera: {text!r:.80} cannot be read ({why.lower()}); {there(devices)}"
         ) from None
     if exists:
-        what = "is no camera"
+        what = "is not a camera"
     elif number is None or path == devices / f"video{number}":
         what = "is not there"
     else:

@@ -58,7 +58,7 @@ def source(text: str) -> int | Path | UdpAddress:
     by the device that it links to. Any other path is a video file.
 
     Raises:
-        TeleopError: it names none of these, or a device that is no camera.
+        TeleopError: it names none of these, or a device that is not a camera.
     """
     if text.isascii() and text.isdigit() and len(text) <= 4:
         return int(text)
@@ -76,7 +76,7 @@ def source(text: str) -> int | Path | UdpAddress:
             or parts.username
         ):
             raise TeleopError(
-                f"camera: {text!r:.80} is no udp://HOST:PORT with a port of 1 to 65535"
+                f"camera: {text!r:.80} is not udp://HOST:PORT with a port of 1 to 65535"
             )
         return UdpAddress(parts.hostname or "", port)
     if "://" in text or not text or "\0" in text:
@@ -113,7 +113,7 @@ class FileFrames:
         if not 0 < self.rate <= FASTEST:
             self._video.release()
             raise TeleopError(
-                f"{path}: is no video that can be read, or a damaged one; give another file"
+                f"{path}: is not a video that can be read, or a damaged one; give another file"
             )
         self._again = cv2.CAP_PROP_POS_FRAMES
 

@@ -79,7 +79,7 @@ class Landmarker:
         increase counts as 1 ms later.
 
         Raises:
-            TeleopError: it is no image, mediapipe failed, or this landmarker is closed.
+            TeleopError: it is not an image, mediapipe failed, or this landmarker is closed.
         """
         if self._task is None:
             raise TeleopError("landmarker: is closed; make another")

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from softmap_edge.errors import TeleopError
-from softmap_edge.files.atomic import replacement_of, write_atomically
+from softmap_edge.files.atomic import replacement_of, sha256_of, write_atomically
 from softmap_edge.files.refusals import refusal
 
 DETECTOR, LANDMARKS = "hand_detector.tflite", "hand_landmarks_detector.tflite"
@@ -98,7 +98,7 @@ def check_model(path: str | Path) -> HandModel:
     """Return the task file at `path` if it is complete and matches its checksum.
 
     Raises:
-        TeleopError: it is missing, is no task file, or does not match its checksum.
+        TeleopError: it is missing, is not a task file, or does not match its checksum.
     """
     file = Path(path)
     if not file.exists():
@@ -107,8 +107,7 @@ def check_model(path: str | Path) -> HandModel:
             "--fetch-model FROM"
         )
     _networks(file)
-    with file.open("rb") as stream:
-        sha256 = hashlib.file_digest(stream, "sha256").hexdigest()
+    sha256 = sha256_of(file)
     record = _record(file)
     if record.is_file():
         with record.open("rb") as stream:
@@ -164,7 +163,7 @@ def _networks(file: Path) -> tuple[dict[str, bytes], bool]:
     # zipfile, zlib, struct and codecs raise different errors on a damaged archive
     except Exception as fault:
         raise TeleopError(
-            f"{file}: is no zip archive, or a damaged one ({type(fault).__name__}: "
+            f"{file}: is not a zip archive, or a damaged one ({type(fault).__name__}: "
             f"{fault!s:.60}); get it again"
         ) from None
 
@@ -177,5 +176,5 @@ def _network(file: Path, archive: zipfile.ZipFile, place: str) -> bytes:
             f"{file}: {place} has more than {LARGEST_NETWORK >> 20} MB; no network of hands does"
         )
     if content[4:8] != b"TFL3":
-        raise TeleopError(f"{file}: {place} is no network in TFLite's form; get it again")
+        raise TeleopError(f"{file}: {place} is not a network in TFLite's form; get it again")
     return content

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import TeleopError
-from softmap_edge.files.atomic import Document
+from softmap_edge.files.atomic import Document, finite
 from softmap_edge.robot.teleop.keys import PRIORITY, Controls, HeldKey, Source, Wish
 from softmap_edge.web.server import Server, Site
 
@@ -275,7 +275,7 @@ def _read(message: str | bytes) -> Document | None:
         document = json.loads(message, parse_constant=lambda name: math.nan)
         knob, t = document["knob"], document["t"]
         numbers = [t, *knob]
-        if len(knob) != 2 or not all(type(x) in (int, float) and math.isfinite(x) for x in numbers):
+        if len(knob) != 2 or not all(map(finite, numbers)):
             return None
         if (
             abs(t) > 1e12
