@@ -211,7 +211,14 @@ def test_every_field_of_a_run_is_on_the_page():
 def test_exit_codes_are_those_of_the_command():
     page = (REFERENCE / "exit_codes.md").read_text(encoding="utf-8")
     codes = [int(code) for code in re.findall(r"^\| (\d+) \|", page, re.MULTILINE)]
-    assert codes == [cli.DONE, cli.FAULT, cli.WRONG_USE, cli.INTERRUPTED]
+    assert codes == [
+        cli.DONE,
+        cli.FAULT,
+        cli.WRONG_USE,
+        cli.HUNG_UP,
+        cli.INTERRUPTED,
+        cli.TERMINATED,
+    ]
 
 
 def test_the_glossary_is_in_order_and_has_each_term_once():
