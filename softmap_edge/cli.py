@@ -30,19 +30,27 @@ DONE, FAULT, WRONG_USE = 0, 1, 2
 NEGATIVE = re.compile(r"-[\d.][^:]*,")
 OUTPUT = "standard output"
 HELP = "help"  # softmap help COMMAND
-SIGNALS = (signal.SIGTERM, signal.SIGHUP)  # end a command as Ctrl-C does
-KILLED = 128  # plus the number of the signal, as a shell reports it
+HUNG_UP, INTERRUPTED, TERMINATED = 129, 130, 143  # 128 + the signal, as a shell reports it
+_STOPPED = {
+    signal.SIGHUP: (HUNG_UP, "terminated"),
+    signal.SIGINT: (INTERRUPTED, "interrupted"),
+    signal.SIGTERM: (TERMINATED, "terminated"),
+}
 
 
 class Terminated(KeyboardInterrupt):
-    """A signal has ended the command; `args` holds its number."""
+    """A signal other than that of Ctrl-C has ended the command."""
+
+    def __init__(self, number: signal.Signals) -> None:
+        super().__init__()
+        self.number = number
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run one command and return its exit code.
 
     It is 0 on success, 1 for a fault or a worse error, 2 for wrong usage or a file that cannot be
-    written, 130 when interrupted (Ctrl-C), 143 when terminated.
+    written, 130 when interrupted (Ctrl-C), 143 or 129 when terminated (SIGTERM, SIGHUP).
     """
     argv = sys.argv[1:] if argv is None else argv
     live = "--live" in argv  # a live command ends with its reader
@@ -64,13 +72,13 @@ def _stopped_by_signals() -> Iterator[None]:
     """Let SIGTERM and SIGHUP end a command as Ctrl-C does, so that no partial file is left."""
 
     def stop(number: int, _: object) -> None:
-        raise Terminated(number)
+        raise Terminated(signal.Signals(number))
 
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     # a signal that is ignored (nohup) or handled stays so
-    usual = [one for one in SIGNALS if signal.getsignal(one) is signal.SIG_DFL]
+    usual = [one for one in _STOPPED if signal.getsignal(one) is signal.SIG_DFL]
     for one in usual:
         signal.signal(one, stop)
     try:
@@ -173,10 +181,9 @@ def _main(argv: list[str]) -> int:
     try:
         return _run(known[name], argv[len(name.split()) :])
     except KeyboardInterrupt as stop:
-        number = stop.args[0] if isinstance(stop, Terminated) else signal.SIGINT
-        how = "interrupted" if number == signal.SIGINT else "terminated"
+        code, how = _STOPPED[stop.number if isinstance(stop, Terminated) else signal.SIGINT]
         print(f"softmap {name}: {how}", file=sys.stderr)
-        return KILLED + int(number)
+        return code
 
 
 def _no_command(argv: list[str], known: Mapping[str, Command]) -> int:
