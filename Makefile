@@ -24,9 +24,9 @@ test:
 test-rust:
 	cargo test --workspace --locked --quiet
 
-# One worker more than cores, each with one thread: tests of the control loop wait more than they compute.
+# Three workers more than cores, each with one thread: tests of the robot wait more than they compute.
 test-python: $(VENV)/.test
-	RAYON_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not long and not prove" -n $$(($$(nproc) + 1)) --dist loadfile --no-loadscope-reorder --durations 12
+	RAYON_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not long and not prove" -n $$(($$(nproc) + 3)) --dist loadfile --no-loadscope-reorder --durations 12
 
 # Complete stories from hidden effect to diagnosis, training, and five hundred damaged files of each format.
 test-long: $(VENV)/.test

@@ -126,6 +126,9 @@ const PAUSE: u64 = 3_000_000;
 /// Answer time of a servo beyond its return delay, plus transfer time of an adapter, ns.
 pub const SLACK: u64 = 2_000_000;
 
+/// Longest time for which an adapter keeps answers back: the latency timer of a new one, ns.
+const ADAPTER: u64 = 16_000_000;
+
 /// A bus at a port.
 pub struct Bus<P> {
     port: P,
@@ -183,10 +186,12 @@ impl<P: Port> Bus<P> {
         let packet = Packet::new(&mut buffer, BROADCAST, instruction::PING).finish()?;
         self.send(packet)?;
         let count = usize::from(HIGHEST_ID) + 1;
-        let until = self.port.now()
-            + self.wire(packet.len() + count * longest(3))
+        let mut until = self.port.now()
+            + self.wire(packet.len() + longest(3))
             + count as u64 * PAUSE
-            + self.slack;
+            + self.slack
+            + ADAPTER;
+        let last = until + self.wire(count * longest(3)); // no sender delays the end further
         let mut some = [0; 256];
         loop {
             let received = self.port.receive(&mut some, until)?;
@@ -196,6 +201,8 @@ impl<P: Port> Bus<P> {
                 self.decoder.clear();
                 return Ok(());
             }
+            // The higher ids waited for these bytes.
+            until = last.min(until + self.wire(received));
             self.decoder.push(&some[..received]);
             while let Some(packet) = self.decoder.next(longest(3)) {
                 if let Some((_, [low, high, firmware])) = packet.status() {

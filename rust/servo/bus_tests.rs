@@ -342,3 +342,77 @@ fn what_the_loop_sends_and_hears_is_the_sdk_s() {
     let packet = "FF FF FD 00 FE 11 00 83 74 00 04 00 01 96 00 00 00 02 AA 00 00 00 82 87";
     assert_eq!(bus.port().sent, bytes(packet));
 }
+
+/// A port in simulated time, whose bytes arrive at given times, ns.
+struct Arrivals {
+    now: u64,
+    due: Vec<(u64, Vec<u8>)>,
+}
+
+impl Port for Arrivals {
+    fn now(&self) -> u64 {
+        self.now
+    }
+
+    fn wait(&mut self, until: u64) {
+        self.now = self.now.max(until);
+    }
+
+    fn send(&mut self, _bytes: &[u8], _until: u64) -> Result<(), PortFault> {
+        Ok(())
+    }
+
+    fn receive(&mut self, into: &mut [u8], until: u64) -> Result<usize, PortFault> {
+        let next = self.due.first().is_some_and(|(at, _)| *at <= until);
+        if !next {
+            self.now = until;
+            return Ok(0);
+        }
+        let (at, bytes) = self.due.remove(0);
+        self.now = self.now.max(at);
+        into[..bytes.len()].copy_from_slice(&bytes);
+        Ok(bytes.len())
+    }
+
+    fn discard(&mut self) -> Result<(), PortFault> {
+        Ok(())
+    }
+}
+
+/// The time of a scan in s, and the ids found. An adapter delivers its bytes every 16 ms.
+fn scanned(baud: u32, ids: &[u8]) -> (f64, Vec<u8>) {
+    let byte = 10_000_000_000 / u64::from(baud);
+    let (mut due, mut busy) = (Vec::new(), 0);
+    for &id in ids {
+        let mut buffer = [0; LONGEST];
+        let mut packet = Packet::new(&mut buffer, id, instruction::STATUS);
+        packet.bytes(&[0, 0xB0, 0x04, 46]);
+        let bytes = packet.finish().unwrap();
+        busy += bytes.len() as u64 * byte;
+        let over = 11 * byte + u64::from(id) * PAUSE + busy;
+        due.push((over.next_multiple_of(16_000_000), bytes.to_vec()));
+    }
+    let mut bus = Bus::new(Arrivals { now: 0, due }, baud, SLACK);
+    let mut found = Vec::new();
+    bus.ping_all(|id, _, _| found.push(id)).unwrap();
+    (bus.port().now as f64 * 1e-9, found)
+}
+
+#[test]
+fn a_scan_waits_for_every_servo_and_no_longer() {
+    let every: Vec<u8> = (0..=HIGHEST_ID).collect();
+    for baud in [9_600, 57_600, 1_000_000] {
+        assert_eq!(scanned(baud, &every).1, every, "{baud}");
+        assert_eq!(scanned(baud, &[252]).1, [252], "{baud}");
+        let (empty, found) = scanned(baud, &[]);
+        assert!(found.is_empty() && empty < 0.82, "{baud}: {empty} s");
+        let due = (0..u64::MAX).step_by(1_000_000).take(100_000);
+        let noise = due
+            .map(|at| (at, vec![0x55; baud as usize / 10_000]))
+            .collect();
+        let mut bus = Bus::new(Arrivals { now: 0, due: noise }, baud, SLACK);
+        bus.ping_all(|_, _, _| ()).unwrap();
+        let most = 0.82 + 254.0 * longest(3) as f64 * 10.0 / f64::from(baud);
+        assert!(bus.port().now as f64 * 1e-9 < most, "{baud}");
+    }
+}

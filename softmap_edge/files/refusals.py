@@ -20,6 +20,8 @@ _WORDS: dict[int, tuple[str, str]] = {
     errno.ENAMETOOLONG: ("the name is too long", "give a shorter one"),
     errno.EISDIR: ("a folder", "give the name of a file"),
     errno.ENOTDIR: ("a part of this path is a file, not a folder", "correct the path"),
+    # of a folder that is made: its place is taken
+    errno.EEXIST: ("a part of this path is a file, not a folder", "correct the path"),
     errno.ENOENT: ("no such file or folder", "give a path that exists"),
     errno.EIO: ("the disk reports an error", f"check the disk, or {_ANOTHER}"),
     errno.ESTALE: ("the network disk is gone", f"connect it again, or {_ANOTHER}"),

@@ -2,7 +2,7 @@
 
 A reading is interpolated to the times of the commands, and held before its first and after its last
 value. That is right between two readings; in a pause many times longer the values are made up.
-Pinned by tests/logs/test_coverage.py.
+Pinned by tests/logs/test_late_topics.py.
 """
 
 from __future__ import annotations

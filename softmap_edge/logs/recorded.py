@@ -5,7 +5,7 @@ another computer sets the stamps. So `time` is the stamp only if every topic of 
 stamps; otherwise it is the log time in all of them. A mapping may name `header.stamp` or `log_time`
 of a topic; two clocks are then reported. Places in different frames (`header.frame_id`) are
 refused; `frame_id` in the mapping selects one frame. Lists without names whose length changes are
-reported. Pinned by tests/logs/test_recorded.py.
+reported. Pinned by tests/logs/test_recorded_topics.py.
 """
 
 from __future__ import annotations

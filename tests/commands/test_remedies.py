@@ -39,7 +39,7 @@ def test_the_list_holds_the_commands_of_messages():
     computed = [
         one
         for one in found
-        if one.file.endswith("guess.py") and one.words[:3] == ("run", "align", "RUN")
+        if one.file.endswith("guess_points.py") and one.words[:3] == ("run", "align", "RUN")
     ]
     assert computed and "HOLE" in computed[0].words  # a part of it is computed
 

@@ -135,7 +135,7 @@ def test_a_finger_pulled_by_tension_carries_newtons_everywhere(tmp_path):
     )
     # A cubic through nine commands against the solved shape.
     assert np.abs(model.predict(pulled)[0] - sweep.vertices[3]).max() < 0.2
-    with pytest.raises(RunError, match="takes N; a length is no tension"):
+    with pytest.raises(RunError, match="takes N; a length is not a tension"):
         model.predict(Run(t=t, t_seen=t, command=np.full((3, 1), 2.0)))
     with pytest.raises(RunError, match="takes mm"):
         builtin_model().predict(Run(t=t, t_seen=t, command=np.zeros((3, 2)), command_unit="N"))

@@ -211,9 +211,13 @@ def test_a_signal_during_a_write_leaves_no_partial_file(number, said, inputs, tm
     out = tmp_path / "out.npz"
     out.write_bytes(b"before")
     argv = ["run", "cut", str(inputs / "run.npz"), "--from", "0", "--to", "30", "--out", str(out)]
-    code = f"import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n{HALF_WAY}"
+    heard = (  # a shell in the background, or `nohup`, has ignored them
+        "import signal\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "signal.signal(signal.SIGHUP, signal.SIG_DFL)\n"
+    )
     with subprocess.Popen(
-        [sys.executable, "-c", code, *argv],
+        [sys.executable, "-c", heard + HALF_WAY, *argv],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

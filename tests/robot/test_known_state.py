@@ -254,7 +254,13 @@ DIFFERENT = {
 }
 
 
-@pytest.mark.parametrize("register", DIFFERENT)
+FEW = [
+    pytest.param(name, marks=pytest.mark.long) if k % 3 else name
+    for k, name in enumerate(DIFFERENT)
+]
+
+
+@pytest.mark.parametrize("register", FEW)
 def test_read_names_what_differs_without_a_rig_and_the_command_mends_it(register, capsys):
     value, said = DIFFERENT[register]
     with emulated_rig() as (bus, _, _):
@@ -288,6 +294,7 @@ def test_the_gains_of_the_rig_count_and_not_those_of_the_factory(tmp_path, capsy
         assert [one.state for one in lines] == ["ok"]
 
 
+@pytest.mark.long
 def test_no_model_as_delivered_has_gains_to_remark_on():
     for model in _core.servo_models():
         bus = _core.EmulatedBus([(1, model["number"], 57_600, 500.0)], [[]])

@@ -285,7 +285,7 @@ def test_keys(tmp_path):
     key = new_key(file)
     assert read_key(file) == key and len(key) == 32 and stat.S_IMODE(file.stat().st_mode) == 0o600
     assert new_key(tmp_path / "other") != key
-    with pytest.raises(LinkError, match="give a new file"):
+    with pytest.raises(LinkError, match="give the name of a new file"):
         new_key(file)
     file.chmod(0o644)
     with pytest.raises(LinkError, match="others can read this key; run chmod 600"):

@@ -136,7 +136,7 @@ def test_damaged_archives_are_one_line(tmp_path, seed):
 
 def test_a_folder_that_cannot_be_written_is_reported(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(TeleopError, match="cannot be written"):
+    with pytest.raises(TeleopError, match="a part of this path is a file, not a folder"):
         fetch_model(wheel(tmp_path / "a.whl"), tmp_path / "file/hand.task")
 
 

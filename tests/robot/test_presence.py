@@ -40,26 +40,24 @@ def two(delays=(250, 250), ids=(1, 1), baud=57_600):
     return bus
 
 
+SAID = "something answers at 57600 baud and cannot be read: two servos share an id"
+
+
 @pytest.mark.parametrize(
-    "delays, said",
-    [
-        ((250, 250), "something answers at 57600 baud and cannot be read: two servos share an id"),
-        ((250, 251), "something answers at 57600 baud and cannot be read: two servos share an id"),
-        ((250, 100), "something answers at 57600 baud and cannot be read: two servos share an id"),
-    ],
+    "second", [250, *(pytest.param(other, marks=pytest.mark.long) for other in (251, 100))]
 )
-def test_answers_that_lie_over_one_another_are_named(capsys, delays, said):
-    bus = two(delays)
+def test_answers_that_lie_over_one_another_are_named(capsys, second):
+    bus = two((250, second))
     where = ["--port", bus.path, "--baud", "57600"]
     assert main(["servo", "scan", *where]) == 1
     reported = capsys.readouterr().out
-    assert said in reported and "connect one servo at a time" in reported
+    assert SAID in reported and "connect one servo at a time" in reported
     for argv in (
         ["servo", "read", *where],
         ["servo", "setup", *where, "--id", "1", "--new-id", "2"],
     ):
         assert main(argv) == 2
-        assert said in capsys.readouterr().err
+        assert SAID in capsys.readouterr().err
     assert [servo[0] for servo in bus.state()[1]] == [500.0, 500.0]
     bus.unplug()
 

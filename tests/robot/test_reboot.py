@@ -182,7 +182,12 @@ def test_the_doctor_names_the_restart(tmp_path):
         assert "softmap servo reboot" in lines[0].do and "supply off and on" in lines[0].do
 
 
-@pytest.mark.parametrize("bits", ERRORS)
+FEW = [
+    pytest.param(bits, marks=pytest.mark.long) if k % 2 else bits for k, bits in enumerate(ERRORS)
+]
+
+
+@pytest.mark.parametrize("bits", FEW)
 def test_every_command_that_reads_servos_names_servo_error_and_restart(bits, tmp_path, capsys):
     file = str(tmp_path / "rig.toml")
     with emulated_rig() as (bus, rig, _):

@@ -128,8 +128,16 @@ def settings(bus, id=1, baud=BAUD):
     }
 
 
-@pytest.mark.parametrize("bits", [0x01, 0x04, 0x08, 0x10, 0x20, 0x24])
-@pytest.mark.parametrize("number", [1200, 1060, 1020])
+SHUT_DOWN = [  # every error once, every model twice; the other pairs are long
+    pytest.param(
+        number, bits, marks=() if (place + k) % 3 == 0 else pytest.mark.long, id=f"{number}-{bits}"
+    )
+    for place, number in enumerate((1200, 1060, 1020))
+    for k, bits in enumerate((0x01, 0x04, 0x08, 0x10, 0x20, 0x24))
+]
+
+
+@pytest.mark.parametrize(("number", "bits"), SHUT_DOWN)
 def test_a_servo_that_shut_itself_down_is_left_as_it_is_until_it_is_restarted(number, bits, capsys):
     bus = _core.EmulatedBus([(1, number, 57_600, 500.0)], [[]])
     bus.fail(0, bits)

@@ -128,7 +128,7 @@ REFUSED = {
     "commands in cm": (scaled("command", 0.1), "the commands are in another unit than mm"),
     "commands in tenths of a mm": (scaled("command", 10.0), "3 times the length of 'moe-finger'"),
     "commands in ticks": (scaled("command", 1000.0), "give ticks as `ticks`"),
-    "commands in N": (lambda f: f | {"command_unit": np.array("N")}, "a length is no tension"),
+    "commands in N": (lambda f: f | {"command_unit": np.array("N")}, "a length is not a tension"),
     "every sign turned": (scaled("command", -1.0), "with the opposite sign the commands explain"),
     "a load in mg": (
         lambda f: f | {"load": np.where(f["t"] > 60, 2e4, 0.0)},
