@@ -53,7 +53,7 @@ ROLES: tuple[tuple[str, str], ...] = (
     ("present", r"gemessen|(^|[_ .])ist([_ .#-]|wert|winkel|pos|lage|$)"),
     (
         "command",
-        r"^u(_[a-z]{1,2})?_?#|cmd|command|goal|target|set_?point|desired|_des|(^|_)ref"
+        r"^u(_[a-z]{1,2})?[_.]?#|cmd|command|goal|target|set_?point|desired|_des|(^|_)ref"
         r"|(?<![a-z])action|input|control",
     ),
     ("command", r"soll|vorgabe|stell_?(gr|wert|signal)|befehl|f(ü|ue)hrungsgr|consigne"),
@@ -192,7 +192,9 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
             plain = re.sub(r"[(\[{](\d+)[)\]}]$", r"\1", name)
             stem = re.sub(r"\[[^\]]*\]$", "[#]", name) if sheet.indexed else plain
             stem = re.sub(
-                r"(^|_)([a-dx-z]|left|right|up|down)(?=_|$)", "_#", without_numbers(stem.lower())
+                r"(?:^|_|(\.))([a-dx-z]|left|right|up|down)(?=[_.]|$)",
+                lambda part: f"{part[1] or '_'}#",
+                without_numbers(stem.lower()),
             )
             groups.setdefault(stem, []).append(name)
     roles: list[tuple[int, Role]] = []

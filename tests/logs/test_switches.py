@@ -82,6 +82,21 @@ def test_a_flag_is_no_coordinate(tmp_path, names, row, kept):
     assert asked is (kept != [names])
 
 
+@pytest.mark.parametrize("form", ["m{}_{}", "{1}{0}", "marker_{}_{}_mm"])
+@pytest.mark.parametrize("axis", [0, 2])
+def test_a_coarse_coordinate_of_one_marker_among_others_is_kept(tmp_path, form, axis):
+    names = [form.format(m, letter) for m in (1, 2, 3) for letter in "xyz"]
+
+    def row(k):
+        first = list(tip(k))
+        first[axis] = on(k)
+        return [swing(k), *first, *tip(k), *tip(k + 2)]
+
+    guess, log = proposed(tmp_path, ["cmd_1", *names], row)
+    assert log["markers"]["columns"] == [names[k : k + 3] for k in (0, 3, 6)]
+    assert not any("a flag or a switch" in line for line in guess.unknown)
+
+
 @pytest.mark.parametrize("name", ["temp", "load", "current"])
 def test_a_flag_is_no_condition(tmp_path, name):
     guess, log = proposed(tmp_path, ["cmd_1", *TIP, name], lambda k: (swing(k), *tip(k), on(k)))
