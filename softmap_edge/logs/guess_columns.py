@@ -111,7 +111,11 @@ def _likelihood(sheet: Sheet, place: Sequence[str]) -> str | None:
     name = likelihood_of(place, sheet.names) if sheet.header else None
     if name is None or name in sheet.texts:
         return None
-    return name if is_likelihood(sheet.column(name), len(name) == len(place[0])) else None
+    letter = len(name) == len(place[0])
+    # pixels have no z and are never negative; `tip_p` of a place in mm may be a pressure
+    if letter and (len(place) > 2 or (sheet.rows_of(list(place)) < 0).any()):
+        return None
+    return name if is_likelihood(sheet.column(name), letter) else None
 
 
 def _points_of(sheet: Sheet, gone: set[str]) -> Triples:
