@@ -44,7 +44,7 @@ _NO_POINT = re.compile(
 ROLES: tuple[tuple[str, str], ...] = (
     ("current", r"current|(^|_)cur(_|#|$)|(?<![a-z])amp(s|eres?)?(?![a-z])|_ma$"),
     ("temperature", r"(?<!at)temp(?!l|or)|celsius"),
-    ("load", r"(^|_)(load|mass|weight|payload)(_|$)"),
+    ("load", r"(^|_)(load|mass|weight|payload)(?![^\W\d_])"),
     (
         "present",
         r"present|actual|meas|encoder|enc(?![a-z])|feedback|(^|_)fb|phi#|joint_?state|theta#|^q#"

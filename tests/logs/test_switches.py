@@ -105,6 +105,24 @@ def test_a_flag_is_no_condition(tmp_path, name):
 
 
 @pytest.mark.parametrize(
+    ("name", "key"),
+    [("load_kg", "load"), ("load [N]", "load"), ("Payload (g)", "load"), ("temp_K", "temperature")],
+)
+def test_a_condition_of_0_and_1_with_a_unit_was_measured(tmp_path, name, key):
+    guess, log = proposed(tmp_path, ["cmd_1", *TIP, name], lambda k: (swing(k), *tip(k), on(k)))
+    assert log[key]["columns"] == [name]
+    assert not any("a flag or a switch" in line for line in guess.unknown)
+
+
+@pytest.mark.parametrize("form", ["cmd_{}_mm", "u{} [deg]", "motor_{}_rad"])
+def test_commands_of_0_and_1_with_a_unit_need_no_question(tmp_path, form):
+    names = [form.format(1), form.format(2)]
+    guess, log = proposed(tmp_path, [*names, *TIP], lambda k: (on(k), on(k + 4), *tip(k)))
+    assert log["command"]["columns"] == names
+    assert not any("holds flags" in line for line in guess.unknown)
+
+
+@pytest.mark.parametrize(
     ("values", "answer"),
     [([0, 1, 1, np.nan], True), ([0, 0], False), ([1.0], False), ([0, 1, 2], False), ([], False)],
 )
