@@ -51,7 +51,9 @@ def moves(pair: Pair) -> bool:
 
 
 def switches_of(pair: Pair) -> list[str]:
-    """Return the columns of a group that hold only 0 and 1."""
+    """Return the columns of a group that hold only 0 and 1, and no unit is stated of them."""
+    if pair[1].unit is not None:
+        return []  # 0 and 1 kg were measured
     return [name for name in pair[1].columns if is_switch(pair[0].column(name))]
 
 

@@ -44,7 +44,7 @@ _NO_POINT = re.compile(
 ROLES: tuple[tuple[str, str], ...] = (
     ("current", r"current|(^|_)cur(_|#|$)|(?<![a-z])amp(s|eres?)?(?![a-z])|_ma$"),
     ("temperature", r"(?<!at)temp(?!l|or)|celsius"),
-    ("load", r"(^|_)(load|mass|weight|payload)(_|$)"),
+    ("load", r"(^|_)(load|mass|weight|payload)(?![^\W\d_])"),
     (
         "present",
         r"present|actual|meas|encoder|enc(?![a-z])|feedback|(^|_)fb|phi#|joint_?state|theta#|^q#"
@@ -53,7 +53,7 @@ ROLES: tuple[tuple[str, str], ...] = (
     ("present", r"gemessen|(^|[_ .])ist([_ .#-]|wert|winkel|pos|lage|$)"),
     (
         "command",
-        r"^u(_[a-z]{1,2})?_?#|cmd|command|goal|target|set_?point|desired|_des|(^|_)ref"
+        r"^u(_[a-z]{1,2})?[_.]?#|cmd|command|goal|target|set_?point|desired|_des|(^|_)ref"
         r"|(?<![a-z])action|input|control",
     ),
     ("command", r"soll|vorgabe|stell_?(gr|wert|signal)|befehl|f(ü|ue)hrungsgr|consigne"),
@@ -111,7 +111,11 @@ def _likelihood(sheet: Sheet, place: Sequence[str]) -> str | None:
     name = likelihood_of(place, sheet.names) if sheet.header else None
     if name is None or name in sheet.texts:
         return None
-    return name if is_likelihood(sheet.column(name), len(name) == len(place[0])) else None
+    letter = len(name) == len(place[0])
+    # pixels have no z and are never negative; `tip_p` of a place in mm may be a pressure
+    if letter and (len(place) > 2 or (sheet.rows_of(list(place)) < 0).any()):
+        return None
+    return name if is_likelihood(sheet.column(name), letter) else None
 
 
 def _points_of(sheet: Sheet, gone: set[str]) -> Triples:
@@ -192,7 +196,9 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
             plain = re.sub(r"[(\[{](\d+)[)\]}]$", r"\1", name)
             stem = re.sub(r"\[[^\]]*\]$", "[#]", name) if sheet.indexed else plain
             stem = re.sub(
-                r"(^|_)([a-dx-z]|left|right|up|down)(?=_|$)", "_#", without_numbers(stem.lower())
+                r"(?:^|_|(\.))([a-dx-z]|left|right|up|down)(?=[_.]|$)",
+                lambda part: f"{part[1] or '_'}#",
+                without_numbers(stem.lower()),
             )
             groups.setdefault(stem, []).append(name)
     roles: list[tuple[int, Role]] = []

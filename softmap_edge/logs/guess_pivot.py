@@ -116,19 +116,25 @@ def _ids(sheet: Sheet, columns: Columns) -> dict[str, Rows]:
             continue
         if name in sheet.texts:
             few = len(set(sheet.texts[name])) <= max(2, len(sheet.texts[name]) // 2)
-            texts = columns.read([], k, rows).labels if few else None
-            if texts is not None and not _COUNTS.search(name):
-                distinct, code = np.unique(texts[:rows], return_inverse=True)
-                found[name] = code - int(distinct[0] == "")
+            if few and not _COUNTS.search(name):
+                found[name] = _spelt(columns, k, rows)
             continue
         values, named = sheet.column(name), _NAMES.search(name) is not None
         known = values[np.isfinite(values)]
         counted = _COUNTS.search(name) is not None or time_unit(name) is not None
         if bool((known == np.rint(known)).all()) and (named or not counted):
-            code = _codes(values[:, None])
+            code = _spelt(columns, k, rows) if named else _codes(values[:, None])
             if 0 < code.max() < (MOST_MARKERS if named else _MOST):
                 found[name] = code
     return found
+
+
+def _spelt(columns: Columns, place: int, rows: int) -> Rows:
+    """Return a number for each spelling in a column, as `pivoted` reads it: 01 and 1 are two."""
+    texts = columns.read([], place, rows).labels
+    assert texts is not None
+    distinct, code = np.unique(texts[:rows], return_inverse=True)
+    return np.asarray(code - int(distinct[0] == ""), np.int64)
 
 
 def _frames(sheet: Sheet) -> Iterator[tuple[str, ...]]:

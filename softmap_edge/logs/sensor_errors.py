@@ -5,7 +5,8 @@ converter writes its full scale. Such a number is equal to the last digit wherev
 the column enters and leaves it only by a jump. It counts as an error if it is
 
     known      one of `KNOWN` temperatures, or one of `MARKS` (fills.py) far beyond all others; of
-               loads only a negative one, for 999 g is a load
+               loads only a negative one, for 999 g is a load; 85 °C that is held for long may be
+               that of a hot session: it is kept and reported
     far        repeated in few rows, between others, farther from all of them than they differ
 
 A temperature cannot jump and return, for the robot has heat to lose; in many rows it may be that of
@@ -66,6 +67,12 @@ def without_errors(
             f"{name}.not_seen asks"
         )
     wrong = errors_of(raw[:, 0], name, quantity.unit)
+    if (held := _held(raw[:, 0], name, quantity.unit)).any():
+        doubts.append(
+            f"{name}: exactly {_listed(raw[held, 0])} in {int(held.sum())} of {len(raw)} rows, "
+            "one after the other, with a jump: a hot session, or a sensor that failed. Kept; "
+            f"{name}.not_seen = [{_listed(raw[held, 0])}] takes it as missing"
+        )
     if not wrong.any():
         return raw
     numbers, others = _listed(raw[wrong, 0]), raw[~wrong & np.isfinite(raw[:, 0]), 0]
@@ -102,9 +109,31 @@ def errors_of(column: Array, name: str, unit: str) -> Mask:
         found |= _equal(celsius, _IMPOSSIBLE)
     for number in _candidates(column, found, known):
         at, others = column == number, np.isfinite(column) & ~found & (column != number)
-        if _is_error(column, at, others, bool(known[at][0]), name):
+        sure = bool(known[at][0])
+        session = sure and _is_session(at[at | others])
+        if not session and _is_error(column, at, others, sure, name):
             found |= at
     return np.asarray(found, np.bool_)
+
+
+def _held(column: Array, name: str, unit: str) -> Mask:
+    """Return which numbers (rows,) are a known error, or the temperature of a hot session."""
+    held = np.zeros(len(column), np.bool_)
+    if name != "temperature":
+        return held
+    celsius = column - (273.15 if unit == "K" else 0.0)
+    known = _equal(celsius, KNOWN) & ~_equal(celsius, _IMPOSSIBLE)
+    for number in np.unique(column[known]):
+        at, others = column == number, np.isfinite(column) & (column != number)
+        if _is_session(at[at | others]) and _is_error(column, at, others, True, name):
+            held |= at
+    return held
+
+
+def _is_session(at: Mask) -> bool:
+    """Return whether some of the rows (n,) follow each other for so long that a session is as likely."""
+    ends = np.flatnonzero(np.diff(np.r_[False, at, False]))
+    return int((ends[1::2] - ends[::2]).max()) > FEW * len(at)
 
 
 def never_read(name: str, unit: str | None, raw: Array) -> str | None:

@@ -236,9 +236,9 @@ def _other_count(columns: Columns, rows: int) -> list[str]:
 def _other_rate(columns: Columns, t: Array, clock: Clock) -> list[str]:
     """Return the doubt that rows at times t (T,) s have another rate than the head states."""
     step = np.diff(t)
-    if not isinstance(columns, TextColumns) or columns.stated_rate is None or clock.timeless:
+    if not isinstance(columns, TextColumns | PivotedColumns) or columns.stated_rate is None:
         return []
-    if len(step) < _FEWEST_STEPS:
+    if clock.timeless or len(step) < _FEWEST_STEPS:
         return []
     regular = np.abs(step / np.median(step) - 1.0) < _REGULAR  # no gap; rounded stamps differ
     key, stated = columns.stated_rate

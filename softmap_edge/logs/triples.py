@@ -100,6 +100,7 @@ class _Candidate:
     stem: str
     named: bool
     other: str | None  # another quantity indicated by its name
+    flag: str | None  # that a coordinate is only 0 and 1
     size: float  # median distance from the origin
     largest: float
     steady: str | None  # another quantity indicated by its values
@@ -178,12 +179,13 @@ def _classified(families: list[list[_Candidate]]) -> tuple[list[list[_Candidate]
     left: list[LeftOut] = []
     standing: list[list[_Candidate]] = []
     moves = any(
-        one.other is None and one.extent > 0 and (one.named or one.largest > np.pi)
+        (one.other or one.flag) is None and one.extent > 0 and (one.named or one.largest > np.pi)
         for family in families
         for one in family
     )
     for family in families:
-        why = family[0].other
+        # a coarse coordinate of one marker among others may be 0 and 1
+        why = family[0].other or (family[0].flag if all(one.flag for one in family) else None)
         steady = {one.steady for one in family}
         if (
             why is None
@@ -281,8 +283,6 @@ def _candidate(
     other, named = _by_name(stem)
     if is_length(columns[0]) and not _NAMELESS.search(stem):
         other, named = None, True
-    if (flag := _flag(columns, points)) is not None:
-        other, named = flag, False
     size = float(np.median(length))
     largest = float(np.quantile(np.abs(points), 0.99))
     extent = float(
@@ -290,7 +290,16 @@ def _candidate(
     )
     middle = np.median(points, axis=0)
     return _Candidate(
-        columns, stem, named, other, size, largest, _steady(points, length), middle, extent
+        columns,
+        stem,
+        named,
+        other,
+        _flag(columns, points),
+        size,
+        largest,
+        _steady(points, length),
+        middle,
+        extent,
     )
 
 

@@ -43,6 +43,7 @@ _SUFFIX = re.compile(
     r"ua|degf|fahrenheit|lbs?|lbf|oz|kn|mn|mg)$",
     re.IGNORECASE,
 )
+_FAHRENHEIT = re.compile(r"(?i:temp)\w*?(?:_([fF])|(?<=[a-z])(F))$")  # temp_f, tempF
 _BRACKET = re.compile(r"[\[(]([^\[\]()]*)[\])]$")
 _WORD = re.compile(r"[^\W\d_]{4,}|[xyzlr]|up|is|raw|ref|cmd|des|set|act", re.IGNORECASE)
 _NUMBERED = re.compile(r" \(column \d+\)$")  # as names that occur twice are distinguished
@@ -68,8 +69,9 @@ def unknown_unit(name: str, in_line: str | None, known: Collection[str]) -> str 
         if not text or text.isdigit() or text.lower() in known:
             return None
         return None if _WORD.fullmatch(text) and not _SUFFIX.search(f"_{text}") else text[:20]
-    suffix = _SUFFIX.search(name)
-    return suffix[1] if suffix and suffix[1].lower() not in known else None
+    suffix = _SUFFIX.search(name) or _FAHRENHEIT.search(name)
+    unit = next(filter(None, suffix.groups())) if suffix else None
+    return unit if unit and unit.lower() not in known else None
 
 
 def unit_in_name(name: str, known: Collection[str]) -> str | None:

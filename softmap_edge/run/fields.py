@@ -112,7 +112,7 @@ RANGES: dict[FieldName, tuple[float, float, str, str]] = {
     "gravity": (-1e3, 1e3, "", "give a unit vector in the base frame"),
     "command": (-1e12, 1e12, "", "give the command in mm of tendon or in `command_unit`"),
     "present": (-1e12, 1e12, "", "give the encoder positions in mm of tendon or in `command_unit`"),
-    "load": (0.0, 1e5, "g", "give the hanging mass in grams"),
+    "load": (0.0, 1e5, "g", "give the hanging mass in grams; below 0, add an offset"),
     "vertices": _PLACE,
     "markers": _PLACE,
     "points": _PLACE,

@@ -174,6 +174,22 @@ def test_a_stamp_of_a_message_is_no_command_and_no_current(names, tmp_path):
     assert "current" not in found.text and not any("cannot be imported" in s for s in found.said)
 
 
+@pytest.mark.parametrize("stem", ["cmd.{}", "cmd_{}", "u.{}", "{}.cmd", "motor.{}.goal"])
+@pytest.mark.parametrize("names", [["a", "b"], ["left", "right"], ["x", "y"]])
+def test_drives_whose_names_differ_in_a_letter_are_one_group(stem, names, tmp_path):
+    columns = [stem.format(name) for name in names]
+    lines = [
+        f"{0.05 * k:.2f},{3 * np.sin(k / 5):.3f},{2 * np.cos(k / 4):.3f},"
+        f"{9 * np.sin(k / 5):.3f},{6 * np.cos(k / 4):.3f},{90 + np.sin(k):.3f}"
+        for k in range(60)
+    ]
+    (tmp_path / "log.csv").write_text(
+        "\n".join([",".join(["t", *columns, "tip_x", "tip_y", "tip_z"]), *lines]) + "\n"
+    )
+    wanted = ", ".join(f'"{name}"' for name in columns)
+    assert f"command = {{ columns = [{wanted}]" in guess_mapping([tmp_path / "log.csv"]).text
+
+
 @pytest.mark.parametrize(
     ("header", "command", "present"),
     [

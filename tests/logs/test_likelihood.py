@@ -133,6 +133,32 @@ def test_a_pressure_is_no_likelihood(tmp_path):
     assert "likelihood" not in text and 'unit = "px"' not in text
 
 
+@pytest.mark.parametrize("letter", ["p", "c"])
+@pytest.mark.parametrize(
+    ("axes", "place"),
+    [
+        ("xyz", lambda k: (10 + 5 * np.sin(k / 9), 30 + 4 * np.cos(k / 9), 90.0 + np.sin(k / 9))),
+        ("xyz", lambda k: (300 + 40 * np.sin(k / 9), 200 + 30 * np.cos(k / 9), 400.0)),
+        ("xy", lambda k: (20 * np.sin(k / 9), 80 + 9 * np.cos(k / 9))),
+    ],
+)
+@pytest.mark.parametrize("value", [lambda k: 0.8 + 0.15 * np.sin(k / 15), lambda k: k % 50 < 40])
+def test_a_letter_of_places_that_are_no_pixels_is_no_likelihood(
+    tmp_path, letter, axes, place, value
+):
+    names = [f"tip_{axis}" for axis in axes]
+    head = ",".join(["time", "cmd_1", *names, f"tip_{letter}"])
+    lines = [
+        ",".join(f"{x:.3f}" for x in (k / 30, np.sin(k / 9), *place(k), value(k)))
+        for k in range(FRAMES)
+    ]
+    path = write(tmp_path / "log.csv", head, lines)
+    guess = guess_mapping([path])
+    assert "likelihood" not in guess.text and 'unit = "px"' not in guess.text
+    assert any(f"tip_{letter}" in line for line in guess.unknown)
+    assert read(path).run.frames == FRAMES
+
+
 def test_two_bodies_in_columns_and_in_rows(tmp_path):
     lines = [",".join([str(k), *cells(k)]) for k in range(FRAMES)]
     bodies = "individuals," + ",".join(["robot"] * 6 + ["rat"] * 3)

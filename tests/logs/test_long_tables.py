@@ -125,6 +125,16 @@ def test_a_long_table_becomes_one_row_a_frame(tmp_path, make):
     assert sum(f"became {FRAMES} frames" in note for note in done.notes) == 1
 
 
+@pytest.mark.parametrize(
+    "names", [["01", "1", "2"], ["1", "1.0", "1.00"], ["7", "07", "m7"], ["+1", "1", "-1"]]
+)
+def test_names_that_are_equal_numbers_are_different_markers(tmp_path, names):
+    rows = [f"{T[k]:.3f},{names[m]},{xyz(k, m)},{pulled(k)}" for k, m in BY_FRAME]
+    path = written(tmp_path, "t,marker,x,y,z,u1,u2", rows)
+    run = imported(path, guess_mapping([path]).text).run
+    assert (run.frames, run.markers.shape[1]) == (FRAMES, MARKERS)
+
+
 def test_a_coordinate_that_all_markers_share_belongs_to_each(tmp_path):
     """In a plane y is 0 in all rows."""
     rows = [

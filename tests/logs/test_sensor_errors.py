@@ -88,6 +88,35 @@ def test_what_a_sensor_measured_is_kept(tmp_path, name, cells):
     assert not any("error of the sensor" in doubt for doubt in done.doubts)
 
 
+@pytest.mark.parametrize(
+    ("name", "cells"),
+    [
+        ("temperature_c", ["25.0"] * 40 + ["85.0"] * 20),  # a second session in a chamber
+        ("temp", ["25.0"] * 20 + ["85.0"] * 20 + ["25.0"] * 20),
+        ("temp", ["85"] * 30 + [f"{25 + 0.0625 * (k % 3):.4f}" for k in range(30)]),
+        ("temp [K]", ["298.15"] * 30 + ["358.15"] * 30),
+        ("temp", [("25.0", "85.0")[k > 30] if k % 2 else "" for k in range(COUNT)]),  # every 2nd
+    ],
+)
+def test_a_hot_session_is_kept_and_reported(tmp_path, name, cells):
+    path = log(tmp_path, name, cells)
+    done = read(path)
+    kelvin = 273.15 if "K" in name else 0.0
+    assert done.run.temperature.max() == pytest.approx(85.0)
+    asked = [doubt for doubt in done.doubts if "a hot session, or a sensor that failed" in doubt]
+    assert len(asked) == 1 and f"exactly {85 + kelvin:g} in" in asked[0]
+    column = f'columns = ["{name}"]'
+    missing = read(path, column, f"{column}, not_seen = [{85 + kelvin:g}]")
+    assert missing.run.temperature.max() < 26.0
+    kept = read(path, column, f'{column}, not_seen = "keep"')
+    assert kept.run.temperature.max() == pytest.approx(85.0) and not kept.doubts
+
+
+def test_many_short_errors_are_no_session(tmp_path):
+    cells = ["85.0" if k // 3 % 2 else f"{22 + 0.02 * k:.2f}" for k in range(COUNT)]
+    assert read(log(tmp_path, "temp", cells)).run.temperature.max() < 24.0
+
+
 def test_declared_numbers_are_missing_and_others_are_kept_if_asked(tmp_path):
     cells = spoiled(WARMING, "21.5", {10, 20})
     path = log(tmp_path, "temperature_c", cells)

@@ -101,6 +101,19 @@ def test_exponents_of_fortran_are_numbers(tmp_path, written, cut):
     assert open_log(path).read([1, 2, 5]).numbers == pytest.approx(KNOWN[:, [0, 1, 4]], abs=6e-4)
 
 
+@pytest.mark.parametrize("cut", [";", "\t", " "])
+@pytest.mark.parametrize("letter", ["D", "d", "Q"])
+def test_exponents_of_fortran_after_decimal_commas(tmp_path, cut, letter):
+    lines = [
+        cut.join(double(float(cell)).replace(".", ",").replace("D", letter) for cell in cells)
+        for cells in (line.split(",") for line in rows(60))
+    ]
+    path = write(tmp_path / "log.csv", cut.join(NAMES), lines)
+    done = import_logs([path], parse_mapping(guess_mapping([path]).text, path))
+    assert (done.run.channels, done.run.frames) == (2, 60)
+    assert open_log(path).read([1, 2, 5]).numbers == pytest.approx(KNOWN[:, [0, 1, 4]], abs=6e-4)
+
+
 @pytest.mark.parametrize(
     ("text", "plain"),
     [

@@ -95,7 +95,21 @@ def test_a_unit_of_places_that_is_not_known_is_quoted(tmp_path, form):
     assert any("unit of the markers: the log states" in line for line in found.unknown)
 
 
+@pytest.mark.parametrize("name", ["temperature_F", "temp_f", "tempF", "temp [F]", "temp_degF"])
+def test_a_temperature_in_fahrenheit_is_asked_about(tmp_path, name):
+    log = written(tmp_path / "log.csv")
+    head, *rows = log.read_text().splitlines()
+    rows = [f"{row},{72 + 0.1 * k:.1f}" for k, row in enumerate(rows)]
+    log.write_text("\n".join([f"{head},{name}", *rows]) + "\n")
+    found = guess_mapping([log])
+    assert sum("the unit of the temperature: the log states" in line for line in found.unknown) == 1
+    doubts = import_logs([log], parse_mapping(found.text, log)).doubts
+    assert any("the file says" in doubt and "scale" in doubt for doubt in doubts)
+
+
 def test_names_without_a_unit_state_none():
+    for name in ("temp_finger", "TEMP", "tempC", "temp_c", "force_f", "cmd_f", "attemptF1"):
+        assert unknown_unit(name, None, {"degc", "c"}) is None
     for name in ("motor_in", "u1 (left)", "cmd[3]", "servo_a", "cmd_1_goal", "q (x)", "u (mm)"):
         assert unknown_unit(name, None, {"mm"}) is None
     assert unit_in_name("motor_in", {"in"}) is None

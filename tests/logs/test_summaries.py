@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from bench_rows import NAMES, rows, write
 
+from softmap_edge.errors import RunError
 from softmap_edge.logs.guess import guess_mapping
 from softmap_edge.logs.importer import import_logs
 from softmap_edge.logs.mapping import parse_mapping
@@ -91,6 +92,25 @@ def test_a_row_without_a_label_that_equals_the_mean_is_set_aside(tmp_path, above
     assert_plain(done)
     count = len(above) + len(below)
     assert any(f"{count} of {COUNT + count} rows hold the mean" in note for note in done.notes)
+
+
+@pytest.mark.parametrize("part", ["25%", "50 %", "97.5%"])
+@pytest.mark.parametrize("index", [False, True])
+def test_a_description_by_pandas_is_set_aside(tmp_path, part, index):
+    labels = ["Mean", "SD", "Min", part, "75%", "Maximum"]
+    below = [",".join([label, *cells("Mean")[0 if index else 1 :]]) for label in labels]
+    lines = [f"{k},{row}" if index else row for k, row in enumerate(ROWS)]
+    head = ",".join(["", *NAMES] if index else NAMES)
+    path = write(tmp_path / "log.csv", head, [*lines, *below])
+    assert_plain(import_logs([path], parse_mapping(guess_mapping([path]).text, path)))
+
+
+@pytest.mark.parametrize("lines", [["25%"], ["50%", "75%"], ["25%", "Mean"]])
+def test_a_percentage_without_a_label_above_it_is_no_summary(tmp_path, lines):
+    below = [",".join([label, *cells("Mean")[1:]]) for label in lines]
+    path = write(tmp_path / "log.csv", ",".join(NAMES), [*ROWS, *below, *rows(9, first=COUNT)])
+    with pytest.raises(RunError, match="'(25|50)%' is not a number"):
+        import_logs([path], parse_mapping(by_hand(path), path))
 
 
 def test_a_label_in_a_column_of_remarks_is_no_block(tmp_path):

@@ -82,11 +82,44 @@ def test_a_flag_is_no_coordinate(tmp_path, names, row, kept):
     assert asked is (kept != [names])
 
 
+@pytest.mark.parametrize("form", ["m{}_{}", "{1}{0}", "marker_{}_{}_mm"])
+@pytest.mark.parametrize("axis", [0, 2])
+def test_a_coarse_coordinate_of_one_marker_among_others_is_kept(tmp_path, form, axis):
+    names = [form.format(m, letter) for m in (1, 2, 3) for letter in "xyz"]
+
+    def row(k):
+        first = list(tip(k))
+        first[axis] = on(k)
+        return [swing(k), *first, *tip(k), *tip(k + 2)]
+
+    guess, log = proposed(tmp_path, ["cmd_1", *names], row)
+    assert log["markers"]["columns"] == [names[k : k + 3] for k in (0, 3, 6)]
+    assert not any("a flag or a switch" in line for line in guess.unknown)
+
+
 @pytest.mark.parametrize("name", ["temp", "load", "current"])
 def test_a_flag_is_no_condition(tmp_path, name):
     guess, log = proposed(tmp_path, ["cmd_1", *TIP, name], lambda k: (swing(k), *tip(k), on(k)))
     assert not {"temperature", "load", "current"} & set(log)
     assert any("only 0 and 1, as a flag or a switch is" in line for line in guess.unknown)
+
+
+@pytest.mark.parametrize(
+    ("name", "key"),
+    [("load_kg", "load"), ("load [N]", "load"), ("Payload (g)", "load"), ("temp_K", "temperature")],
+)
+def test_a_condition_of_0_and_1_with_a_unit_was_measured(tmp_path, name, key):
+    guess, log = proposed(tmp_path, ["cmd_1", *TIP, name], lambda k: (swing(k), *tip(k), on(k)))
+    assert log[key]["columns"] == [name]
+    assert not any("a flag or a switch" in line for line in guess.unknown)
+
+
+@pytest.mark.parametrize("form", ["cmd_{}_mm", "u{} [deg]", "motor_{}_rad"])
+def test_commands_of_0_and_1_with_a_unit_need_no_question(tmp_path, form):
+    names = [form.format(1), form.format(2)]
+    guess, log = proposed(tmp_path, [*names, *TIP], lambda k: (on(k), on(k + 4), *tip(k)))
+    assert log["command"]["columns"] == names
+    assert not any("holds flags" in line for line in guess.unknown)
 
 
 @pytest.mark.parametrize(

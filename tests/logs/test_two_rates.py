@@ -53,7 +53,17 @@ def plain(folder, rate):
     return write(folder / "log.csv", f"# Sample rate: {rate} Hz", ",".join(NAMES), lines)
 
 
-MAKERS = [trc, motive, lambda f, r: motive(f, r, "Export Frame Rate"), qualisys, plain]
+def long(folder, rate):
+    lines = [
+        f"{0.01 * k:.2f},m{m},{np.sin(k / 9):.3f},{m + np.cos(k / 7):.3f},{40 * m + 20}.5,{k % 9}"
+        for k in range(60)
+        for m in range(3)
+    ]
+    head = "t,marker,x,y,z,cmd_1"
+    return write(folder / "log.csv", f"# Sample rate: {rate} Hz", head, lines)
+
+
+MAKERS = [trc, motive, lambda f, r: motive(f, r, "Export Frame Rate"), qualisys, plain, long]
 
 
 @pytest.mark.parametrize("make", MAKERS)

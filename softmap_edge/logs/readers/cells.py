@@ -12,7 +12,7 @@ from softmap_edge.logs.time_text import is_time
 from softmap_edge.logs.unit_words import LENGTH_WORDS
 
 DELIMITERS = (",", ";", "\t", "|")
-_COMMA_NUMBER = re.compile(r"[+-]?\d+(,\d+)?([eE][+-]?\d+)?")
+_COMMA_NUMBER = re.compile(r"[+-]?\d+(,\d+)?([eEdDqQ][+-]?\d+)?")
 _OTHERS = ("", "-", "°", "°c", "degrees", "radians", "n", "ma", "a", "g", "kg")
 _UNITS = {*LENGTH, *TIME, *ANGLE, *_OTHERS}  # possible cells of a line of units
 _BRACKETS = "[](){}"

@@ -72,6 +72,12 @@ class PivotedColumns:
         odd: dict[str, str] | None = getattr(self.inner, "odd_units", None)
         return None if odd is None else self._for_markers(odd)
 
+    @property
+    def stated_rate(self) -> tuple[str, float] | None:
+        """The rate that the head states; None where each frame shows one marker."""
+        rate: tuple[str, float] | None = getattr(self.inner, "stated_rate", None)
+        return rate if len(self.layout.frame) > len(self.layout.lines) else None
+
     def _for_markers(self, units: dict[str, str]) -> dict[str, str]:
         own = [self.inner.names[place] for place in self.of_markers] * len(self.layout.markers)
         added = self.names[len(self.inner.names) :]

@@ -10,7 +10,7 @@ tests/logs/test_summaries.py.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ LABEL = re.compile(
     re.IGNORECASE,
 )
 _WORD = re.compile(rf"(?<![^\W\d_])({LABEL.pattern})(?![^\W\d_])", re.IGNORECASE)
+_PART = re.compile(r"\d{1,2}([.,]\d+)? ?%")  # a quantile, next to a line with a label
 _MANY, _SAMPLE = 64, 20  # lines of a block with letters, and lines that show what a column holds
 _BLOCK = 8  # rows at the start or the end that may be summaries
 _LEAST = 10  # other rows
@@ -68,7 +69,15 @@ def labelled_lines(block: Sequence[str], mark: str) -> list[int]:
         return []
     ends = [*block[:_SAMPLE], *block[_SAMPLE:][-_SAMPLE:]]
     others = [split(line, mark) for line in ends]
-    return [k for k in some if labelled(split(block[k], mark), others)]
+    found = [k for k in some if labelled(split(block[k], mark), others)]
+    return sorted({*found, *_quantiles(block, mark, found)})
+
+
+def _quantiles(block: Sequence[str], mark: str, found: Sequence[int]) -> Iterator[int]:
+    """Yield the lines labelled 25%, 50%, … below a line of `found`, as pandas describes a table."""
+    for k in found:
+        while (k := k + 1) < len(block) and _PART.fullmatch(split(block[k], mark)[0]):
+            yield k
 
 
 def summaries(numbers: Array) -> NDArray[np.intp]:

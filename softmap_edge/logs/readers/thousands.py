@@ -24,7 +24,9 @@ _FORMS = {
 }
 
 _ALIKE = {mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}(\{mark}\d{{3}})+") for mark in ".,"}
-_DECIMAL = {mark: re.compile(rf"[+-]?(\d+\{mark}\d*|\{mark}\d+)([eE][+-]?\d+)?") for mark in ".,"}
+_DECIMAL = {
+    mark: re.compile(rf"[+-]?(\d+\{mark}\d*|\{mark}\d+)([eEdDqQ][+-]?\d+)?") for mark in ".,"
+}
 _SMALL = re.compile(r"[+-]?[1-9]\d{0,2}")
 _LEAST = 3  # different cells of either kind
 
