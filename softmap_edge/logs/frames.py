@@ -94,7 +94,9 @@ def seen(
     if not shown.any():
         raise RunError(f"{table.path}: no frame shows a marker; check the columns of `markers`")
     if not shown.all():
-        notes.append(f"{int((~shown).sum())} of {len(shown)} rows show no marker and are no frames")
+        notes.append(
+            f"{int((~shown).sum())} of {len(shown)} rows show no marker and are not frames"
+        )
         table = table.rows(shown)
     table = _without_repeats(table, log.markers, notes, doubts)
     points = _points(table, log.markers, doubts)
@@ -299,7 +301,9 @@ def _outputs(
     if not given.any():
         raise RunError(f"{table.path}: no row has an output; check the columns of `output`")
     if not given.all():
-        notes.append(f"{int((~given).sum())} of {len(given)} rows have no output and are no frames")
+        notes.append(
+            f"{int((~given).sum())} of {len(given)} rows have no output and are not frames"
+        )
         table = table.rows(given)
     doubts += doubts_of_units("output", table, measured)
     values = table.numbers(measured.columns) * measured.scale + measured.offset
@@ -337,7 +341,7 @@ def _points(table: LogTable, quantity: Quantity, doubts: list[str], name: str = 
     other = doubts_of_units(name, table, quantity, units)
     if unit == PIXEL and (quantity.scale == 1.0).all():
         other = [
-            f"{name}: in pixels, which are no mm: a pixel counts as 1 mm, and every length of the "
+            f"{name}: in pixels, which are not mm: a pixel counts as 1 mm, and every length of the "
             f"run is wrong by that factor; set {name}.scale to the mm of one pixel, from a length "
             "that you know in the picture"
         ]

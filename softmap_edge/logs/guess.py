@@ -303,8 +303,8 @@ def _find_others(roles: list[tuple[Sheet, Role]], width: int, found: Found) -> N
         found.assumed.append(f"{role.kind}: {named} by name")
         if role.stated is not None:
             found.unknown.append(
-                f"the unit of the {role.kind}: the log states '{role.stated}', which is no unit of "
-                f"it in this program: {UNITS[role.kind][0]} is taken; give scale and offset"
+                f"the unit of the {role.kind}: the log states '{role.stated}', which is not a unit "
+                f"of it in this program: {UNITS[role.kind][0]} is taken; give scale and offset"
             )
 
 
@@ -349,8 +349,8 @@ def _drive_units(found: Found) -> None:
     unit = answers[0][0]
     if unit not in UNITS["command"]:
         found.unknown.append(
-            f"the unit of the commands: the log states '{unit}', which is no unit of commands in "
-            "this program: commands stay as they are, and every figure about the drive carries "
+            f"the unit of the commands: the log states '{unit}', which is not a unit of commands "
+            "in this program: commands stay as they are, and every figure about the drive carries "
             "this unit. With unit and scale, and without command_unit, they are mm of tendon"
         )
     if unit == "ticks":

@@ -66,14 +66,14 @@ def find_points(sheets: list[Sheet], found: Found) -> None:
     if pictured:
         found.unknown.append(
             f"the mm of one pixel: {'the log states px' if stated else 'x, y, likelihood'} of "
-            "places in a picture, and a pixel is no mm. Put the mm of one pixel into scale, from a "
-            "length that you know in the picture, and origin_mm in mm; lens distortion is not "
+            "places in a picture, and a pixel is not a mm. Put the mm of one pixel into scale, from "
+            "a length that you know in the picture, and origin_mm in mm; lens distortion is not "
             "corrected"
         )
     elif odd is not None:
         found.unknown.append(
-            f"the unit of the markers: the log states '{odd}', which is no unit of places in this "
-            f"program: {unit} is written by size alone. Give unit and scale: mm for one '{odd}'"
+            f"the unit of the markers: the log states '{odd}', which is not a unit of places in "
+            f"this program: {unit} is written by size alone. Give unit and scale: mm for one '{odd}'"
         )
     found.points = (sheet, triples, unit)
     found.scales = _scales(sheet, [*flat, *(name for triple in found.base for name in triple)])
@@ -109,8 +109,8 @@ def find_points(sheets: list[Sheet], found: Found) -> None:
     if any(is_relative(one[0]) for one in triples):
         relative = listed((one[0] for one in triples if is_relative(one[0])), 4)
         found.assumed.append(
-            f"markers: {relative} are relative to the base by their names, so the base is the origin "
-            "of the log. A base that moves is not seen: `mount` and `camera_drift` cannot be tested"
+            f"markers: {relative} are relative to the base by their names, so the base is the "
+            "origin of the log. A base that moves is not seen: `mount` and `camera_drift` cannot be tested"
         )
     if found.base:
         places = " ".join(f"b{k}:X,Y,Z" for k in range(len(found.base)))

@@ -22,7 +22,7 @@ from softmap_edge.logs.unit_words import UNIT_WORDS, unit_in_name, unknown_unit
 if TYPE_CHECKING:
     from softmap_edge.logs.table import LogTable
 
-# words of one meaning that are no units of this program; ticks are counts of any kind
+# words of one meaning that are not units of this program; ticks are counts of any kind
 _SAME = {
     **dict.fromkeys(("%", "pct", "percent", "perc"), "%"),
     **dict.fromkeys(("tick", "count", "counts", "pulses", "steps", "raw", "lsb", "cnt"), "ticks"),

@@ -65,7 +65,7 @@ def parts_of(paths: Sequence[Path]) -> list[Part]:
     """Return the files that paths stand for.
 
     Raises:
-        RunError: a path cannot be read, is no recording, or has an unsupported format.
+        RunError: a path cannot be read, is not a recording, or has an unsupported format.
     """
     found: list[Part] = []
     for path in (path if path.name not in ("", "..") else path.resolve() for path in paths):
@@ -257,7 +257,7 @@ def assign(parts: list[Part], mapping: Mapping) -> tuple[Mapping, list[Chosen]]:
         logs.
 
     Raises:
-        RunError: a `file` fits no given file; a log has no file, or several that are no parts of
+        RunError: a `file` fits no given file; a log has no file, or several that are not parts of
             one recording; or a file has no log.
     """
     logs, patterns = _alike(mapping.logs)

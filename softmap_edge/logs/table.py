@@ -65,7 +65,7 @@ class LogTable:
     labels: NDArray[np.generic] | None
     notes: tuple[str, ...]
     doubts: tuple[str, ...] = ()
-    # cells of a line of units that are not known, by column; None if the log is no text
+    # cells of a line of units that are not known, by column; None if the log is not a text
     odd_units: dict[str, str] | None = None
 
     def numbers(self, columns: tuple[Column, ...]) -> Array:
@@ -390,7 +390,7 @@ def _within_reason(
             row = int(np.argmax(wild))
             raise RunError(
                 f"{path}: {where} {cells.lines[row]}, column {names[column]}: "
-                f"{cells.numbers[row, j]:g} is no measurement; correct or remove the line"
+                f"{cells.numbers[row, j]:g} is not a measurement; correct or remove the line"
             )
 
 

@@ -1,7 +1,7 @@
 """List the text columns that a proposed mapping leaves out, with an example cell of each.
 
 A column whose name differs from columns in use only by its number is listed by itself: some of its
-cells are no numbers, so it was left out. Pinned by tests/logs/test_text_columns.py.
+cells are not numbers, so it was left out. Pinned by tests/logs/test_text_columns.py.
 """
 
 from __future__ import annotations
