@@ -97,7 +97,11 @@ def test_two_c3d_markers_of_one_name_stay_two(tmp_path):
         ("trc", lambda b: b.replace(b"\tX3\tY3\tZ3", b""), ["3 markers, line 5 has 6"]),
         ("trc", lambda b: b"\n".join(b.split(b"\n")[:6]), ["holds no frames"]),
         ("trc", lambda b: b[:-30], ["cells, expected 11"]),
-        ("motive", lambda b: b.replace(b"Name,Plate", b"Nome,Plate"), ["not a CSV export of Motive"]),
+        (
+            "motive",
+            lambda b: b.replace(b"Name,Plate", b"Nome,Plate"),
+            ["not a CSV export of Motive"],
+        ),
         ("motive", lambda b: b"\n".join(b.split(b"\n")[:7]), ["holds no frames"]),
         ("c3d", lambda b: b[:100], ["is not a C3D file"]),
         ("c3d", lambda b: b"\x02\x51" + b[2:], ["is not a C3D file"]),

@@ -81,7 +81,7 @@ def read(path, old="", new=""):
 def test_a_likelihood_decides_what_was_seen(tmp_path, make):
     path = make(tmp_path)
     guess = guess_mapping([path])
-    assert any("are likelihoods, no coordinates" in line for line in guess.assumed)
+    assert any("are likelihoods, not coordinates" in line for line in guess.assumed)
     assert any("the mm of one pixel" in line for line in guess.unknown)
     assert 'unit = "px", scale = 1.0' in guess.text and 'block = "' not in guess.text
     done = read(path)
