@@ -30,7 +30,7 @@ from softmap_edge.run.output import output_of
 from softmap_edge.run.plane import AXES, PLANE
 
 Array = NDArray[np.float64]
-_TOLD = 5  # swaps, and unseen markers, that are listed
+_LISTED = 5  # swaps, and unseen markers, that are listed
 _SLOW = 25.0  # % of frames that repeat: the camera is slower than the log
 _RELATIVE = (
     "Places relative to the base (tip minus base), or a typed one, look like this: then a base "
@@ -113,7 +113,7 @@ def seen(
     fields["marker_labels"] = np.array(log.markers.labels)
     if relative := [label for label in log.markers.labels if is_relative(label)]:
         notes.append(
-            f"markers: {listed(relative, _TOLD)}: relative to the base by the name, so the base is "
+            f"markers: {listed(relative, _LISTED)}: relative to the base by the name, so the base is "
             "the origin of the log and its motion is not seen: `mount` and `camera_drift` cannot "
             "be tested"
         )
@@ -218,7 +218,7 @@ def _tell_base(table: LogTable, base: Quantity, labels: tuple[str, ...], doubts:
     ]
     still = [m for m in never_moving(points) if m not in zero]
     if still:
-        named = listed((labels[m] for m in still), _TOLD)
+        named = listed((labels[m] for m in still), _LISTED)
         doubts.append(
             f"base: {named} at one place to the last digit in all {len(points)} frames, so it was "
             f'not measured in each of them. {_RELATIVE}; base.not_seen = "keep" if the base '
@@ -320,8 +320,8 @@ def _outputs(
 
 def _few(lines: list[str]) -> list[str]:
     return [
-        *lines[:_TOLD],
-        *([f"and {len(lines) - _TOLD} more such swaps"] if len(lines) > _TOLD else []),
+        *lines[:_LISTED],
+        *([f"and {len(lines) - _LISTED} more such swaps"] if len(lines) > _LISTED else []),
     ]
 
 
@@ -386,9 +386,9 @@ def _without_repeats(
 def _tell_dropouts(visible: NDArray[np.bool_], labels: tuple[str, ...], notes: list[str]) -> None:
     share = 1.0 - visible.mean(axis=0)
     lost = [
-        f"{labels[m]} {100 * share[m]:.1f} %" for m in np.argsort(-share)[:_TOLD] if share[m] > 0
+        f"{labels[m]} {100 * share[m]:.1f} %" for m in np.argsort(-share)[:_LISTED] if share[m] > 0
     ]
-    more = f" and {int((share > 0).sum()) - _TOLD} more" if (share > 0).sum() > _TOLD else ""
+    more = f" and {int((share > 0).sum()) - _LISTED} more" if (share > 0).sum() > _LISTED else ""
     notes.append(f"not seen in some frames: {', '.join(lost)}{more}")
 
 

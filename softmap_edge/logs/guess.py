@@ -284,7 +284,7 @@ def _find_drives(sheets: list[Sheet], found: Found) -> None:
 
 
 def _find_others(roles: list[tuple[Sheet, Role]], width: int, found: Found) -> None:
-    """Add currents, one for each of `width` channels, and conditions; say what is left out."""
+    """Add currents, one for each of `width` channels, and conditions; report what is left out."""
     for sheet, role in roles:
         if role.kind in {other.kind for _, other in found.others}:
             continue  # a run holds one of each; it is listed among the columns that are left out

@@ -285,7 +285,7 @@ def drive_unit(rows: Array, stated: str | None, joint: bool = False) -> tuple[st
     `joint` states whether they are joint states.
     """
     if stated is not None:
-        return stated, f"their name says {stated}", True
+        return stated, f"their name states {stated}", True
     known = rows[np.isfinite(rows)]
     peak = float(np.abs(known).max())
     if not joint and all(len(np.unique(column[np.isfinite(column)])) < 2 for column in rows.T):

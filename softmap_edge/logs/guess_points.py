@@ -81,7 +81,7 @@ def _unit(sheet: Sheet, triples: list[list[str]], best: Triples, found: Found) -
         )
         return PIXEL, "a tracker of pictures measures in pixels"
     if named:
-        return named, f"their names say {named}"
+        return named, f"their names state {named}"
     unit, why = length_unit(places_of(sheet, triples), sheet.units.get(flat[0]))
     if odd is not None:
         found.unknown.append(

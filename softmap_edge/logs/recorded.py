@@ -101,11 +101,11 @@ def _far(tables: Sequence[Sequence[TopicColumns]], with_stamps: Sequence[int]) -
     delays = [(float(np.median(found)), k) for k in with_stamps if len(found := _late(tables[k]))]
     if not delays or max(delays)[0] - min(delays)[0] <= _APART_S:
         return ()
-    told = " and ".join(
+    both = " and ".join(
         f"{_name(tables[k])} {_delay(tables[k])}" for _, k in (min(delays), max(delays))
     )
     return (
-        f"t: the stamps of the topics are of clocks that are not set alike: {told}: name column = "
+        f"t: the stamps of the topics are of clocks that are not set alike: {both}: name column = "
         f'"{_LOGGED}" in all of them, or give time.offset_s of one',
     )
 

@@ -146,8 +146,8 @@ def open_parts(parts: Sequence[Part], log: Log) -> Columns:
         return _recording(parts, log.topic, frame=log.frame_id)
     if log.frame_id is not None:
         raise RunError(
-            f"{first.path}: frame_id = '{log.frame_id[:60]}' is for recordings of ROS, and this is "
-            "none; leave it out"
+            f"{first.path}: frame_id = '{log.frame_id[:60]}' is for recordings of ROS, which this "
+            "is not; leave it out"
         )
     if len(parts) == 1:
         with called(first.file, first.path):

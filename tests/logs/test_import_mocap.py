@@ -68,8 +68,8 @@ def test_the_unit_of_the_file_is_followed_or_doubted(tmp_path, form):
     t, points = places()
     path, _ = take(tmp_path, form, "m", points, t)
     said = taken(tmp_path, path, MAP.replace('"tip.z"]', '"tip.z"], unit = "cm"'))
-    assert any("the file says m, the mapping cm" in doubt for doubt in said.doubts)
-    with pytest.raises(RunError, match="the file says m, the mapping mm"):
+    assert any("the file states m, the mapping cm" in doubt for doubt in said.doubts)
+    with pytest.raises(RunError, match="the file states m, the mapping mm"):
         taken(tmp_path, path, MAP.replace('"tip.z"]', '"tip.z"], unit = "mm"'))
 
 

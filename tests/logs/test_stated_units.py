@@ -59,7 +59,7 @@ def test_lengths_that_are_stated_are_read(tmp_path, form, mm, row):
     for unit in ("in", "ft"):
         stated = stated.replace(f'unit = "{unit}", columns = [\n', wrong)
     doubts = doubts_or_fault(log, stated)
-    assert any("the file says" in doubt for doubt in doubts)
+    assert any("the file states" in doubt for doubt in doubts)
     assert not any("looks like m:" in doubt for doubt in doubts)
 
 
@@ -105,7 +105,7 @@ def test_names_without_a_unit_state_none():
     ("command", "marker", "line"),
     [
         ("cmd", "marker_{}_{}_mm", "UNKNOWN  the unit of the commands: mm is only likely"),
-        ("cmd (mm)", "{1}", "their name says mm"),
+        ("cmd (mm)", "{1}", "their name states mm"),
         ("cmd [px]", "marker_{}_{}_mm", '"px"'),
         ("motor", "{1} (mm)", "the unit of the commands: mm is only likely"),
     ],

@@ -32,7 +32,7 @@ _NONE = ("", "1", "-", "none")  # units of plain numbers
 
 @dataclass
 class Described:
-    """What the attributes of an array say.
+    """What the attributes of an array state.
 
     Attributes:
         scale, offset: value = scale x stored number + offset.
@@ -63,7 +63,7 @@ class Described:
 
 
 def described(name: str, entry: Dataset) -> Described:
-    """Return what the attributes of an array say.
+    """Return what the attributes of an array state.
 
     Args:
         name: of the array, for notes.
@@ -91,7 +91,7 @@ def described(name: str, entry: Dataset) -> Described:
     if found.fault is None and (found.scale, found.offset) != (1.0, 0.0):
         found.notes.append(
             f"{name}: read as {found.scale:g} times the stored numbers, plus {found.offset:g}, as "
-            "its attributes say"
+            "its attributes state"
         )
     return found
 
