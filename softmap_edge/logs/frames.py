@@ -84,7 +84,7 @@ def seen(
     if log.base is not None:
         named = tuple(f"base {b}" for b in range(len(log.base.columns) // log.base.axes))
         table = _without_unlikely("base", table, log.base, named, notes)
-        _tell_base(table, log.base, named, doubts)
+        _note_base(table, log.base, named, doubts)
         table = _without_lost(table, log.base, named, commands, log.base.axes, notes, doubts)
     table = _without_shifts(table, log.markers, doubts)
     given = np.isfinite(table.numbers(log.markers.columns)).reshape(
@@ -103,7 +103,7 @@ def seen(
     visible = np.asarray(np.isfinite(points).all(axis=2))
     if not visible.all():
         fields["visible"] = visible
-        _tell_dropouts(visible, log.markers.labels, notes)
+        _note_dropouts(visible, log.markers.labels, notes)
     points = _without_swaps(points, table.t, log, notes, doubts)
     if "visible" in fields:
         fields["visible"] = np.isfinite(points).all(axis=2)
@@ -113,9 +113,9 @@ def seen(
     fields["marker_labels"] = np.array(log.markers.labels)
     if relative := [label for label in log.markers.labels if is_relative(label)]:
         notes.append(
-            f"markers: {listed(relative, _LISTED)}: relative to the base by the name, so the base is "
-            "the origin of the log and its motion is not seen: `mount` and `camera_drift` cannot "
-            "be tested"
+            f"markers: {listed(relative, _LISTED)}: relative to the base by the name, so the base "
+            "is the origin of the log and its motion is not seen: `mount` and `camera_drift` "
+            "cannot be tested"
         )
     if log.base is not None:
         fields["base_markers"] = mapping.to_base(_points(table, log.base, doubts, "base"))
@@ -205,7 +205,7 @@ def _without_unseen(
     return _with_numbers(table, markers.columns, points)
 
 
-def _tell_base(table: LogTable, base: Quantity, labels: tuple[str, ...], doubts: list[str]) -> None:
+def _note_base(table: LogTable, base: Quantity, labels: tuple[str, ...], doubts: list[str]) -> None:
     """Report markers of the base at one place to the last digit in every row; they are kept."""
     if base.not_seen is None:
         return
@@ -312,7 +312,7 @@ def _outputs(
     visible = np.asarray(np.isfinite(values))
     if not visible.all():
         fields["visible"] = visible
-        _tell_dropouts(visible, measured.names, notes)
+        _note_dropouts(visible, measured.names, notes)
     if log.block is not None:
         fields["block"] = table.texts()
     return table.t
@@ -383,13 +383,10 @@ def _without_repeats(
     return table.rows(~held)
 
 
-def _tell_dropouts(visible: NDArray[np.bool_], labels: tuple[str, ...], notes: list[str]) -> None:
+def _note_dropouts(visible: NDArray[np.bool_], labels: tuple[str, ...], notes: list[str]) -> None:
     share = 1.0 - visible.mean(axis=0)
-    lost = [
-        f"{labels[m]} {100 * share[m]:.1f} %" for m in np.argsort(-share)[:_LISTED] if share[m] > 0
-    ]
-    more = f" and {int((share > 0).sum()) - _LISTED} more" if (share > 0).sum() > _LISTED else ""
-    notes.append(f"not seen in some frames: {', '.join(lost)}{more}")
+    lost = (f"{labels[m]} {100 * share[m]:.1f} %" for m in np.argsort(-share) if share[m] > 0)
+    notes.append(f"not seen in some frames: {listed(lost, _LISTED)}")
 
 
 def choose_frames(

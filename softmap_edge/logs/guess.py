@@ -206,9 +206,7 @@ def _left_out(sheet: Sheet, time: tuple[str, ...], found: Found) -> list[str]:
     own = text_columns(sheet.called, sheet.texts, used, [name for name in varies if name in used])
     if not left:
         return own
-    named = ", ".join(map(_range_of(sheet), left[:6])) + (
-        f" and {len(left) - 6} more" if len(left) > 6 else ""
-    )
+    named = listed(map(_range_of(sheet), left), 6)
     return [
         f"what these columns of {sheet.called} are: {named}; they are left out, add them if the "
         "run needs them",

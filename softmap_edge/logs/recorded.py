@@ -72,8 +72,8 @@ def on_one_clock(logs: Sequence[Log], opened: Sequence[Columns]) -> OneClock:
     without = listed(dict.fromkeys(_name(tables[k]) for k in bare), _NAMED)
     notes = tuple(
         f"topic {_name(tables[k])}: time is the log time, as in {without}, where some "
-        f"messages have no stamp: stamps are another clock ({_delay(tables[k])}); time = {{ column = "
-        '"header.stamp" } takes the stamps'
+        f"messages have no stamp: stamps are another clock ({_delay(tables[k])}); time = {{ column "
+        '= "header.stamp" } takes the stamps'
         for k in changed
     )
     left = [k for k in with_stamps if k not in changed]

@@ -371,12 +371,8 @@ def _finite(cells: Cells, places: list[int], names: list[str]) -> Cells:
     count = np.isinf(cells.numbers).sum(axis=0)
     if not count.any():
         return cells
-    counted = [f"{names[places[j]]} {count[j]}" for j in np.flatnonzero(count)[:_LISTED]]
-    more = f" and {int((count > 0).sum()) - _LISTED} more" if (count > 0).sum() > _LISTED else ""
-    note = (
-        f"infinite values of {len(cells.numbers)} rows are taken as missing: "
-        f"{', '.join(counted)}{more}"
-    )
+    counted = listed((f"{names[places[j]]} {count[j]}" for j in np.flatnonzero(count)), _LISTED)
+    note = f"infinite values of {len(cells.numbers)} rows are taken as missing: {counted}"
     numbers = np.where(np.isinf(cells.numbers), np.nan, cells.numbers)
     return replace(cells, numbers=numbers, notes=(*cells.notes, note))
 
