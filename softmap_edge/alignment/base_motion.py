@@ -8,10 +8,11 @@
 If the run was aligned by these markers (`softmap run align`), `placed` is the remaining error of
 that alignment. In a diagnosis the reference is an earlier run (`--reference`), or the place that
 `softmap learn` stored in `made_from`. The parameters of `mount` are then fitted within SIGMAS of
-the measured pose. `mount` and `camera_drift` are no candidates if the markers show that the base
+the measured pose. `mount` and `camera_drift` are not candidates if the markers show that the base
 cannot have moved the body visibly. A place that repeats to the last digit in all frames was not
 measured in them (a log of tip minus base, a typed place), so it bounds nothing. Units: mm, deg.
-Limit: a rotation needs three markers that are not on a line. Pinned by tests/alignment/test_base_motion.py.
+Limit: a rotation needs three markers that are not on a line. Pinned by
+tests/alignment/test_base_motion.py.
 """
 
 from __future__ import annotations

@@ -63,8 +63,8 @@ def read_clouds(paths: Sequence[str | Path], notes: list[str] | None = None) -> 
         Run: with `points` and `start`; without commands if the files hold none.
 
     Raises:
-        RegistrationError: a file is not a cloud, or a run among other files; the message names it and
-            its contents.
+        RegistrationError: a file is not a cloud, or a run among other files; the message names it
+            and its contents.
         RunError: a run with an invalid field.
     """
     files = [Path(path) for path in paths]

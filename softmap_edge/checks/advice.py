@@ -2,7 +2,7 @@
 
 Each answer concerns one question of a diagnosis and uses the run alone: enough frames, known
 noise, visits of home, kind of motion. Limits are those of the methods behind the question
-(`noise.py`, `fit.py`), or a factor below which two causes look alike. Every answer states its
+(`noise/noise_model.py`, `diagnosis/fit.py`), or a factor below which two causes look alike. Every answer states its
 number. Minutes are the duration of the missing block. Units: mm, s, °C. Pinned by
 tests/checks/test_advice.py.
 """

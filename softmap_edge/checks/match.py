@@ -167,8 +167,8 @@ def check_run_matches_model(
     )
     if other and memory_share(model, run.at(some), s, v).share < ALIKE:
         raise RunError(
-            f"the points move {both / power:.3g} times as far as the commands say, in the same "
-            f"way: the commands are in another unit than {model.command_unit} (cm, m, deg or "
+            f"the points move {both / power:.3g} times as far as commanded, in the same way: "
+            f"the commands are in another unit than {model.command_unit} (cm, m, deg or "
             "ticks?) or of another robot; set `unit` in the mapping"
         )
     if followed_share(s - p, s, v) < FOLLOWED:

@@ -3,7 +3,7 @@
 They are static effects that look like it and do not contradict the run.
 
 A diagnosis removes the residual. If laws of the library explain the learned part, the diagnosis
-names them. If not, a static field of its size is no evidence: it may be model error or an effect.
+names them. If not, a static field of its size is not evidence: it may be model error or an effect.
 `problem_of` adds model-form error in the same directions; a rod's is noise. Effects of memory,
 orientation or load are then found as without a residual.
 

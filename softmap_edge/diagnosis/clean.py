@@ -2,7 +2,7 @@
 
 They are excluded before a fit, with a remark.
 
-    lost      a place that stands for "not seen" (`lost.py`): the point counts as not seen
+    lost      a place that stands for "not seen" (`checks/lost_points.py`): the point counts as not seen
     dark      a frame without a visible point
     late      a frame outside the record of the commands, or in a gap of it during which the
               commands move

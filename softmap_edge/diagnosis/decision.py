@@ -43,8 +43,8 @@ LEFT = 0.1
 # times model error or noise: unexplained error above which an unaccepted family counts
 UNKNOWN_TIMES = 2.5
 MISWIRED = 0.2  # of the motion: least model error for testing exchanged servos
-# Least explained share. A law that explains less of its family is no candidate. An effect of the
-# same form that explains less of a member is no alternative.
+# Least explained share. A law that explains less of its family is not a candidate. An effect of the
+# same form that explains less of a member is not an alternative.
 STANDS_FOR = 0.6
 ODDS_BASE = 0.03  # odds against any named effect
 # the same for each alternative, each parameter at its bound, and an unknown effect

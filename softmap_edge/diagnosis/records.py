@@ -1,7 +1,7 @@
 """Several runs of one robot as one record: frames in sequence, with shared parameters.
 
 Memory starts in equilibrium in each run, and session parameters have a value for each run
-(`layout.py`). Units: mm, s, g. Limit: the runs must be measured in the same way (vertices, or the
+(`model/parameter_layout.py`). Units: mm, s, g. Limit: the runs must be measured in the same way (vertices, or the
 same number of markers). Pinned by tests/diagnosis/test_several_runs.py.
 """
 

@@ -2,7 +2,7 @@
 
 It is tested if gravity is implausible in a diagnosis.
 
-With another effect present, a wrong sign is not visible before a fit (`belongs.py` tests that). A
+With another effect present, a wrong sign is not visible before a fit (`checks/match.py` tests that). A
 weight or backlash hides it, and the effect `gravity` then ends at its bounds. So the run is
 diagnosed again under the signs that fit best with a free weight at the tip,
 

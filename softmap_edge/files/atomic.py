@@ -130,7 +130,8 @@ def own_text(path: str | Path, most: int, *, keep_line_ends: bool = False) -> st
         keep_line_ends: leave CR and CR LF as they are; otherwise each becomes a line feed.
 
     Raises:
-        OSError: it cannot be opened, is not a regular file or is too long; `strerror` is the reason.
+        OSError: it cannot be opened, is not a regular file or is too long; `strerror` is the
+            reason.
         UnicodeDecodeError: it is not UTF-8.
     """
     file = Path(path)

@@ -64,7 +64,7 @@ def doubts_of_pauses(name: str, t: Array, own: Array) -> list[str]:
     elif high > own[-1]:
         how = "stops early, and its last value is held after"
     else:
-        how = "pauses, and a straight line stands there"
+        how = "pauses, and is interpolated linearly there"
     return [
         f"{name}: {how}: {made_up} of {len(t)} rows have made-up values, most from {when} s: leave "
         f"{name} out, or cut the commands there with from_row and to_row"

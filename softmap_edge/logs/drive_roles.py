@@ -82,7 +82,7 @@ def _in_space(columns: list[str]) -> bool:
 
 
 def _no_drive(sheet: Sheet, role: Role) -> str | None:
-    """Return why columns are no commands or encoders although their name suggests it; else None."""
+    """Return why columns are not commands or encoders although their name suggests it; else None."""
     rows = sheet.rows_of(role.columns)
     if not role.sure and role.kind == "present" and not moves((sheet, role)):
         return "constants, because they never change"

@@ -15,7 +15,7 @@ from softmap_edge.logs.time_keys import TIME
 
 Array = NDArray[np.float64]
 YEARS = (1990, 2100)  # of a plausible date
-LEAST = 1e8  # a smaller count is no date in any unit
+LEAST = 1e8  # a smaller count is not a date in any unit
 _YEAR = 365.2425 * 86400.0  # s
 _SLOWEST = 1000.0  # s between rows
 _FILETIME, _TICKS = -11_644_473_600.0, -62_135_596_800.0  # their epochs, s after 1970

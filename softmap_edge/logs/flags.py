@@ -2,9 +2,9 @@
 
 Booleans always count as such labels. Other numbers count if the name says so, and if they are few
 small whole numbers, or lie in 0 to 1 where the name is that of a probability. Words count if the
-name says so, or if all of them are words of flags. Such columns are no places, commands or
-encoders. A column of 0 and 1 without such a name may be a flag: it is no coordinate, and a command
-only with a question.
+name says so, or if all of them are words of flags. Such columns are not places, commands or
+encoders. A column of 0 and 1 without such a name may be a flag: it is not a coordinate, and a
+command only with a question.
 Pinned by tests/logs/test_flags.py.
 """
 

@@ -30,7 +30,7 @@ from softmap_edge.run.output import output_of
 from softmap_edge.run.plane import AXES, PLANE
 
 Array = NDArray[np.float64]
-_TOLD = 5  # swaps, and unseen markers, that are listed
+_LISTED = 5  # swaps, and unseen markers, that are listed
 _SLOW = 25.0  # % of frames that repeat: the camera is slower than the log
 _RELATIVE = (
     "Places relative to the base (tip minus base), or a typed one, look like this: then a base "
@@ -84,7 +84,7 @@ def seen(
     if log.base is not None:
         named = tuple(f"base {b}" for b in range(len(log.base.columns) // log.base.axes))
         table = _without_unlikely("base", table, log.base, named, notes)
-        _tell_base(table, log.base, named, doubts)
+        _note_base(table, log.base, named, doubts)
         table = _without_lost(table, log.base, named, commands, log.base.axes, notes, doubts)
     table = _without_shifts(table, log.markers, doubts)
     given = np.isfinite(table.numbers(log.markers.columns)).reshape(
@@ -94,14 +94,16 @@ def seen(
     if not shown.any():
         raise RunError(f"{table.path}: no frame shows a marker; check the columns of `markers`")
     if not shown.all():
-        notes.append(f"{int((~shown).sum())} of {len(shown)} rows show no marker and are no frames")
+        notes.append(
+            f"{int((~shown).sum())} of {len(shown)} rows show no marker and are not frames"
+        )
         table = table.rows(shown)
     table = _without_repeats(table, log.markers, notes, doubts)
     points = _points(table, log.markers, doubts)
     visible = np.asarray(np.isfinite(points).all(axis=2))
     if not visible.all():
         fields["visible"] = visible
-        _tell_dropouts(visible, log.markers.labels, notes)
+        _note_dropouts(visible, log.markers.labels, notes)
     points = _without_swaps(points, table.t, log, notes, doubts)
     if "visible" in fields:
         fields["visible"] = np.isfinite(points).all(axis=2)
@@ -111,9 +113,9 @@ def seen(
     fields["marker_labels"] = np.array(log.markers.labels)
     if relative := [label for label in log.markers.labels if is_relative(label)]:
         notes.append(
-            f"markers: {listed(relative, _TOLD)}: relative to the base by the name, so the base is "
-            "the origin of the log and its motion is not seen: `mount` and `camera_drift` cannot "
-            "be tested"
+            f"markers: {listed(relative, _LISTED)}: relative to the base by the name, so the base "
+            "is the origin of the log and its motion is not seen: `mount` and `camera_drift` "
+            "cannot be tested"
         )
     if log.base is not None:
         fields["base_markers"] = mapping.to_base(_points(table, log.base, doubts, "base"))
@@ -203,7 +205,7 @@ def _without_unseen(
     return _with_numbers(table, markers.columns, points)
 
 
-def _tell_base(table: LogTable, base: Quantity, labels: tuple[str, ...], doubts: list[str]) -> None:
+def _note_base(table: LogTable, base: Quantity, labels: tuple[str, ...], doubts: list[str]) -> None:
     """Report markers of the base at one place to the last digit in every row; they are kept."""
     if base.not_seen is None:
         return
@@ -216,7 +218,7 @@ def _tell_base(table: LogTable, base: Quantity, labels: tuple[str, ...], doubts:
     ]
     still = [m for m in never_moving(points) if m not in zero]
     if still:
-        named = listed((labels[m] for m in still), _TOLD)
+        named = listed((labels[m] for m in still), _LISTED)
         doubts.append(
             f"base: {named} at one place to the last digit in all {len(points)} frames, so it was "
             f'not measured in each of them. {_RELATIVE}; base.not_seen = "keep" if the base '
@@ -299,7 +301,9 @@ def _outputs(
     if not given.any():
         raise RunError(f"{table.path}: no row has an output; check the columns of `output`")
     if not given.all():
-        notes.append(f"{int((~given).sum())} of {len(given)} rows have no output and are no frames")
+        notes.append(
+            f"{int((~given).sum())} of {len(given)} rows have no output and are not frames"
+        )
         table = table.rows(given)
     doubts += doubts_of_units("output", table, measured)
     values = table.numbers(measured.columns) * measured.scale + measured.offset
@@ -308,7 +312,7 @@ def _outputs(
     visible = np.asarray(np.isfinite(values))
     if not visible.all():
         fields["visible"] = visible
-        _tell_dropouts(visible, measured.names, notes)
+        _note_dropouts(visible, measured.names, notes)
     if log.block is not None:
         fields["block"] = table.texts()
     return table.t
@@ -316,8 +320,8 @@ def _outputs(
 
 def _few(lines: list[str]) -> list[str]:
     return [
-        *lines[:_TOLD],
-        *([f"and {len(lines) - _TOLD} more such swaps"] if len(lines) > _TOLD else []),
+        *lines[:_LISTED],
+        *([f"and {len(lines) - _LISTED} more such swaps"] if len(lines) > _LISTED else []),
     ]
 
 
@@ -337,7 +341,7 @@ def _points(table: LogTable, quantity: Quantity, doubts: list[str], name: str = 
     other = doubts_of_units(name, table, quantity, units)
     if unit == PIXEL and (quantity.scale == 1.0).all():
         other = [
-            f"{name}: in pixels, which are no mm: a pixel counts as 1 mm, and every length of the "
+            f"{name}: in pixels, which are not mm: a pixel counts as 1 mm, and every length of the "
             f"run is wrong by that factor; set {name}.scale to the mm of one pixel, from a length "
             "that you know in the picture"
         ]
@@ -379,13 +383,10 @@ def _without_repeats(
     return table.rows(~held)
 
 
-def _tell_dropouts(visible: NDArray[np.bool_], labels: tuple[str, ...], notes: list[str]) -> None:
+def _note_dropouts(visible: NDArray[np.bool_], labels: tuple[str, ...], notes: list[str]) -> None:
     share = 1.0 - visible.mean(axis=0)
-    lost = [
-        f"{labels[m]} {100 * share[m]:.1f} %" for m in np.argsort(-share)[:_TOLD] if share[m] > 0
-    ]
-    more = f" and {int((share > 0).sum()) - _TOLD} more" if (share > 0).sum() > _TOLD else ""
-    notes.append(f"not seen in some frames: {', '.join(lost)}{more}")
+    lost = (f"{labels[m]} {100 * share[m]:.1f} %" for m in np.argsort(-share) if share[m] > 0)
+    notes.append(f"not seen in some frames: {listed(lost, _LISTED)}")
 
 
 def choose_frames(

@@ -13,6 +13,8 @@ from collections.abc import Collection
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.logs.flags import words_of
+
 Array = NDArray[np.float64]
 
 _DEVICE = re.compile(r"joint_?stat|servo|motor|enc(?!e)|present|tendon", re.IGNORECASE)
@@ -24,7 +26,6 @@ _COMPUTED = re.compile(
     r"|ref|sp|wp|nom|sim|pred|mod|est|hat|fk|filt"
 )
 _SUFFIX = "d"  # of control theory: x and xd
-_WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+|[^\W\d_]+")
 _LEAST = 10  # rows needed to decide
 _APART = 0.7  # of a marker's motion: a triple that deviates more does not follow it
 
@@ -39,7 +40,7 @@ def is_drive(stem: str) -> bool:
 
 def is_goal(stem: str) -> bool:
     """Return whether the shared part of a triple's names marks a desired position, not a device."""
-    marked = _GOAL.search(stem) is not None or bool(_GOAL_WORDS & set(_words(stem)))
+    marked = _GOAL.search(stem) is not None or bool(_GOAL_WORDS & set(words_of(stem)))
     return marked and _DEVICE.search(stem) is None
 
 
@@ -52,15 +53,11 @@ def is_computed(stem: str, others: Collection[str]) -> bool:
         stem: the shared part of the triple's names.
         others: the shared parts of the other triples' names.
     """
-    words = _words(stem)
+    words = words_of(stem)
     rest = [word for word in words if word != _SUFFIX]
-    if len(rest) < len(words) and any(_words(other) == rest for other in others):
+    if len(rest) < len(words) and any(words_of(other) == rest for other in others):
         return True
     return any(_COMPUTED.fullmatch(word) for word in words)
-
-
-def _words(stem: str) -> list[str]:
-    return [word.lower() for word in _WORD.findall(stem)]
 
 
 def follows(points: Array, place: Array) -> bool:

@@ -206,9 +206,7 @@ def _left_out(sheet: Sheet, time: tuple[str, ...], found: Found) -> list[str]:
     own = text_columns(sheet.called, sheet.texts, used, [name for name in varies if name in used])
     if not left:
         return own
-    named = ", ".join(map(_range_of(sheet), left[:6])) + (
-        f" and {len(left) - 6} more" if len(left) > 6 else ""
-    )
+    named = listed(map(_range_of(sheet), left), 6)
     return [
         f"what these columns of {sheet.called} are: {named}; they are left out, add them if the "
         "run needs them",
@@ -284,7 +282,7 @@ def _find_drives(sheets: list[Sheet], found: Found) -> None:
 
 
 def _find_others(roles: list[tuple[Sheet, Role]], width: int, found: Found) -> None:
-    """Add currents, one for each of `width` channels, and conditions; say what is left out."""
+    """Add currents, one for each of `width` channels, and conditions; report what is left out."""
     for sheet, role in roles:
         if role.kind in {other.kind for _, other in found.others}:
             continue  # a run holds one of each; it is listed among the columns that are left out
@@ -303,8 +301,8 @@ def _find_others(roles: list[tuple[Sheet, Role]], width: int, found: Found) -> N
         found.assumed.append(f"{role.kind}: {named} by name")
         if role.stated is not None:
             found.unknown.append(
-                f"the unit of the {role.kind}: the log states '{role.stated}', which is no unit of "
-                f"it in this program: {UNITS[role.kind][0]} is taken; give scale and offset"
+                f"the unit of the {role.kind}: the log states '{role.stated}', which is not a unit "
+                f"of it in this program: {UNITS[role.kind][0]} is taken; give scale and offset"
             )
 
 
@@ -349,8 +347,8 @@ def _drive_units(found: Found) -> None:
     unit = answers[0][0]
     if unit not in UNITS["command"]:
         found.unknown.append(
-            f"the unit of the commands: the log states '{unit}', which is no unit of commands in "
-            "this program: commands stay as they are, and every figure about the drive carries "
+            f"the unit of the commands: the log states '{unit}', which is not a unit of commands "
+            "in this program: commands stay as they are, and every figure about the drive carries "
             "this unit. With unit and scale, and without command_unit, they are mm of tendon"
         )
     if unit == "ticks":

@@ -184,7 +184,7 @@ def length_unit(points: Array, stated: str | None) -> tuple[str, str]:
             unit == "cm" and ROBOT[0] <= span * 10 <= ROBOT[1]
         ):
             return unit, f"they span {span:.3g}, {span * LENGTH[unit]:.0f} mm if they are {unit}"
-    return "mm", f"they span {span:.3g}, which is no robot's size in any unit"
+    return "mm", f"they span {span:.3g}, which is not the size of a robot in any unit"
 
 
 # --- drives --------------------------------------------------------------------------------
@@ -248,7 +248,7 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
 
 
 def _may_drive(sheet: Sheet, name: str) -> bool:
-    """Return whether a column has numbers, and is no clock: named like one, and never falling."""
+    """Return whether a column has numbers, and is not a clock: named like one, and never falling."""
     known = sheet.column(name)[np.isfinite(sheet.column(name))]
     last = name.rsplit(".", 1)[-1] if sheet.topic is not None else name
     rises = len(known) > 1 and known[-1] > known[0] and bool((np.diff(known) >= 0).all())
@@ -291,7 +291,7 @@ def drive_unit(rows: Array, stated: str | None, joint: bool = False) -> tuple[st
     `joint` states whether they are joint states.
     """
     if stated is not None:
-        return stated, f"their name says {stated}", True
+        return stated, f"their name states {stated}", True
     known = rows[np.isfinite(rows)]
     peak = float(np.abs(known).max())
     if not joint and all(len(np.unique(column[np.isfinite(column)])) < 2 for column in rows.T):

@@ -77,7 +77,7 @@ def _overlap(group: Sequence[Sheet], times: Sequence[TimeFound]) -> list[str]:
         return []
     names = " and ".join(sheet.path.name for sheet in group)
     return [
-        f"{names[:300]} have the same columns and overlap in time, so they are no parts of one "
+        f"{names[:300]} have the same columns and overlap in time, so they are not parts of one "
         "log: if they are runs of one robot, import each by itself, then join the runs with "
         "`softmap run join`"
     ]

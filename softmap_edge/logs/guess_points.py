@@ -51,31 +51,50 @@ def find_points(sheets: list[Sheet], found: Found) -> None:
     _leave_other_frame(sheet, triples, found)
     if not triples:
         triples, found.base = found.base, []
+    unit, why = _unit(sheet, triples, best, found)
+    found.points = (sheet, triples, unit)
+    _add_scales(sheet, triples, unit, found)
+    found.assumed.append(
+        f"markers: {len(triples)} of {sheet.called}, in the order of the columns, base first; {why}"
+    )
+    _add_assumed(sheet, triples, best, found)
+    found.label = label_of(sheet)
+    if found.label is not None:
+        found.assumed.append(
+            f"blocks: '{found.label}' names the part of the protocol; folds are cut by it"
+        )
+
+
+def _unit(sheet: Sheet, triples: list[list[str]], best: Triples, found: Found) -> tuple[str, str]:
+    """Return the unit of markers and its reason; one that is not known is added to the findings."""
     flat = [name for triple in triples for name in triple]
-    points = places_of(sheet, triples)
     named = LENGTH_WORDS.get(unit_in_name(flat[0], LENGTH_WORDS) or "")
     odd = None if named else stated_of(sheet, flat[0], LENGTH_WORDS)
     stated = odd is not None and odd.lower() in PIXEL_WORDS
     pictured = stated or (len(triples[0]) == 2 and bool(best.likelihood) and not named)
     if pictured:
-        unit, why = PIXEL, "a tracker of pictures measures in pixels"
-    elif named:
-        unit, why = named, f"their names say {named}"
-    else:
-        unit, why = length_unit(points, sheet.units.get(flat[0]))
-    if pictured:
         found.unknown.append(
             f"the mm of one pixel: {'the log states px' if stated else 'x, y, likelihood'} of "
-            "places in a picture, and a pixel is no mm. Put the mm of one pixel into scale, from a "
-            "length that you know in the picture, and origin_mm in mm; lens distortion is not "
+            "places in a picture, and a pixel is not a mm. Put the mm of one pixel into scale, from "
+            "a length that you know in the picture, and origin_mm in mm; lens distortion is not "
             "corrected"
         )
-    elif odd is not None:
+        return PIXEL, "a tracker of pictures measures in pixels"
+    if named:
+        return named, f"their names state {named}"
+    unit, why = length_unit(places_of(sheet, triples), sheet.units.get(flat[0]))
+    if odd is not None:
         found.unknown.append(
-            f"the unit of the markers: the log states '{odd}', which is no unit of places in this "
-            f"program: {unit} is written by size alone. Give unit and scale: mm for one '{odd}'"
+            f"the unit of the markers: the log states '{odd}', which is not a unit of places in "
+            f"this program: {unit} is written by size alone. Give unit and scale: mm for one "
+            f"'{odd}'"
         )
-    found.points = (sheet, triples, unit)
+    return unit, why
+
+
+def _add_scales(sheet: Sheet, triples: list[list[str]], unit: str, found: Found) -> None:
+    """Add the factors of columns in another unit than the first one to the findings."""
+    flat = [name for triple in triples for name in triple]
     found.scales = _scales(sheet, [*flat, *(name for triple in found.base for name in triple)])
     if found.scales:
         units = ", ".join(dict.fromkeys(_length_of(sheet, name) or unit for name in found.scales))
@@ -83,16 +102,17 @@ def find_points(sheets: list[Sheet], found: Found) -> None:
             f"markers: {next(iter(found.scales))} and others are in {units}, as the log states; "
             f"they are converted to the unit of {flat[0]}"
         )
-    found.assumed.append(
-        f"markers: {len(triples)} of {sheet.called}, in the order of the columns, base first; {why}"
-    )
+
+
+def _add_assumed(sheet: Sheet, triples: list[list[str]], best: Triples, found: Found) -> None:
+    """Add the likelihoods of the markers, and what is assumed of the markers and their base."""
     found.likelihood = best.likelihood
     if best.likelihood:
         names = list(best.likelihood.values())
         low = sheet.rows_of(names) < LIKELIHOOD
         found.assumed.append(
-            f"markers: {', '.join(names[:4])}{' …' * (len(names) > 4)} are likelihoods, no "
-            f"coordinates; places below {LIKELIHOOD:g} count as not seen ({int(low.sum())} of "
+            f"markers: {', '.join(names[:4])}{' …' * (len(names) > 4)} are likelihoods, "
+            f"not coordinates; places below {LIKELIHOOD:g} count as not seen ({int(low.sum())} of "
             f"{low.size} here), which is the limit that DeepLabCut takes"
         )
     if len(triples[0]) == 2:
@@ -109,8 +129,9 @@ def find_points(sheets: list[Sheet], found: Found) -> None:
     if any(is_relative(one[0]) for one in triples):
         relative = listed((one[0] for one in triples if is_relative(one[0])), 4)
         found.assumed.append(
-            f"markers: {relative} are relative to the base by their names, so the base is the origin "
-            "of the log. A base that moves is not seen: `mount` and `camera_drift` cannot be tested"
+            f"markers: {relative} are relative to the base by their names, so the base is the "
+            "origin of the log. A base that moves is not seen: `mount` and `camera_drift` cannot be "
+            "tested"
         )
     if found.base:
         places = " ".join(f"b{k}:X,Y,Z" for k in range(len(found.base)))
@@ -118,11 +139,6 @@ def find_points(sheets: list[Sheet], found: Found) -> None:
             f"base: {len(found.base)} markers are on the clamp by their names, and measured in the "
             f"same frame as the others; `softmap run align RUN --base {places}` brings the run to "
             "the base by them. Leave `base` out if its frame is another one"
-        )
-    found.label = label_of(sheet)
-    if found.label is not None:
-        found.assumed.append(
-            f"blocks: '{found.label}' names the part of the protocol; folds are cut by it"
         )
 
 

@@ -22,6 +22,7 @@ from softmap_edge.logs.guess_falls import counts_of_roll, treatment
 from softmap_edge.logs.guess_sheets import Sheet
 from softmap_edge.logs.readers.cells import is_value
 from softmap_edge.logs.readers.clock_cells import packed_of
+from softmap_edge.logs.set_clock import usual_step
 from softmap_edge.logs.time_keys import NO_TIME, TIME, Clock, fractions
 from softmap_edge.logs.time_names import TIME_NAME, is_time_unit, time_unit
 from softmap_edge.logs.time_text import DAY
@@ -287,9 +288,9 @@ def _of_column(sheet: Sheet, name: str) -> TimeFound:
             f"'{name}' looks like the digits of dates (yymmddHHMMSS), such as {known[0]:.0f}, and "
             f"is read as {unit}: convert it to seconds in the log"
         )
-    if not doubt and "not known" in why and without_date(known, _usual(known)):
+    if not doubt and "not known" in why and without_date(known, usual_step(known)):
         doubt = (
-            f"what '{name}' counts: {known[0]:.15g} is no date from {YEARS[0]} to {YEARS[1]} in s, "
+            f"what '{name}' counts: {known[0]:.15g} is not a date from {YEARS[0]} to {YEARS[1]} in s, "
             f"ms, us or ns since 1970, 100 ns since 1601 or since year 1; {unit} is written: put "
             "the unit of the log there"
         )
@@ -324,15 +325,9 @@ def _scale(sheet: Sheet, name: str) -> tuple[float, tuple[str, str]]:
     return (1.0 / (sheet.rate_hz or RATE_HZ) if unit == "rows" else TIME[unit]), (unit, why)
 
 
-def _usual(values: Array) -> float:
-    """Return the usual step of a rising column."""
-    step = np.diff(values)
-    return float(np.median(step[step > 0]))
-
-
 def _unit(sheet: Sheet, name: str) -> tuple[str, str]:
     values = _known(sheet, name)
-    usual = _usual(values)
+    usual = usual_step(values)
     stated = (
         sheet.units.get(name) or unit_in_name(name, TIME) or time_unit(_bare(last_of(sheet, name)))
     )

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.logs.chance import is_improbable
+from softmap_edge.logs.chance import digit_of, is_improbable
 from softmap_edge.run.stretches import stretches_of
 
 Array = NDArray[np.float64]
@@ -128,9 +128,7 @@ def _fitted(columns: Array, places: Array, there: Mask, fresh: Mask) -> tuple[Ar
 
 def _digit(places: Array) -> float:
     """Return the last digit's step of positions (n, D): the smallest difference of two numbers."""
-    steps = [np.diff(np.unique(column)) for column in places.T]
-    found = [float(step.min()) for step in steps if len(step)]
-    return max(found, default=0.0)
+    return max(map(digit_of, places.T), default=0.0)
 
 
 def _against_commands(points: Array, again: Mask, u: Array | None) -> list[Held]:

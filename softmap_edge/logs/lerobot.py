@@ -90,7 +90,7 @@ def read_info(path: Path) -> Info:
             f"{path}: cannot be read ({cause.strerror or cause}); download it again"
         ) from cause
     except (ValueError, RecursionError) as fault:
-        raise RunError(f"{path}: is no JSON ({brief(fault)}); download it again") from None
+        raise RunError(f"{path}: is not JSON ({brief(fault)}); download it again") from None
     features = document.get("features") if isinstance(document, dict) else None
     if not isinstance(features, dict):
         raise RunError(f"{path}: has no `features`; expected the info of a LeRobot dataset")

@@ -1,7 +1,7 @@
 """Use the likelihood of each place, as trackers of pictures write it: x, y, likelihood.
 
 DeepLabCut writes `tip.x, tip.y, tip.likelihood`, SLEAP `tip.score`, OpenPose `Tip_c`. The
-likelihood is no coordinate: a place whose likelihood is below `least_likelihood` was not seen.
+likelihood is not a coordinate: a place whose likelihood is below `least_likelihood` was not seen.
 These trackers measure in pixels. Pinned by tests/logs/test_likelihood.py.
 """
 

@@ -111,7 +111,7 @@ def scale_of(table: TomlTable, count: int) -> Array:
     """Return the scale of each column, 1 unless given.
 
     Raises:
-        RunError: one is 0, or is no plain number.
+        RunError: one is 0, or is not a plain number.
     """
     scale = per_column(table, "scale", count, 1.0)
     if (scale == 0.0).any():

@@ -15,6 +15,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.files.printable import listed
+
 Array = NDArray[np.float64]
 _METRE = 1000.0
 _SMALLER = 0.02  # of the size and of the motion of the largest: others are in another unit
@@ -93,7 +95,7 @@ def places_question(points: Array, labels: Sequence[str]) -> str | None:
     small = places_in_metres(points)
     if not len(small):
         return None
-    names = _named([labels[m] if labels else str(m) for m in small])
+    names = listed((labels[m] if labels else str(m) for m in small), _LISTED)
     count = points.shape[1]
     return (
         f"{names}: {len(small)} of {count} markers are about 1000 times nearer to the origin than "
@@ -123,13 +125,8 @@ def drives_question(name: str, values: Array, labels: Sequence[str]) -> str | No
     if not ticks or not others:
         return None
     return (
-        f"{name}: {_named(ticks)} look like ticks (whole numbers beyond {_TURN:g}), and "
-        f"{_named(others)} like degrees or lengths (fractions within {_TURN:g}): set "
+        f"{name}: {listed(ticks, _LISTED)} look like ticks (whole numbers beyond {_TURN:g}), and "
+        f"{listed(others, _LISTED)} like degrees or lengths (fractions within {_TURN:g}): set "
         f"scale and offset of {name}, a number for each column, so that all have one unit, or "
         "scale = 1.0 if they do"
     )
-
-
-def _named(labels: Sequence[str]) -> str:
-    more = f" and {len(labels) - _LISTED} more" if len(labels) > _LISTED else ""
-    return ", ".join(label[:60] for label in labels[:_LISTED]) + more

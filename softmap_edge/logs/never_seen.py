@@ -72,8 +72,8 @@ def never_moving(points: Array) -> list[int]:
 def moving(points: Array) -> Array:
     """Return the points (K, M, 3) without markers that never move, if two or more others remain.
 
-    A place that repeats to the last digit in every frame was not measured, so it says nothing of
-    the axis along which a robot lies.
+    A place that repeats to the last digit in every frame was not measured, so it does not show the
+    axis along which a robot lies.
     """
     moves = np.ones(points.shape[1], bool)
     moves[never_moving(points)] = False

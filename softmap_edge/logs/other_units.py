@@ -22,7 +22,7 @@ from softmap_edge.logs.unit_words import UNIT_WORDS, unit_in_name, unknown_unit
 if TYPE_CHECKING:
     from softmap_edge.logs.table import LogTable
 
-# words of one meaning that are no units of this program; ticks are counts of any kind
+# words of one meaning that are not units of this program; ticks are counts of any kind
 _SAME = {
     **dict.fromkeys(("%", "pct", "percent", "perc"), "%"),
     **dict.fromkeys(("tick", "count", "counts", "pulses", "steps", "raw", "lsb", "cnt"), "ticks"),
@@ -54,7 +54,7 @@ def doubts_of_units(
     mixed = name in POINTS and len(several) > 1 and several <= set(LENGTH)
     return [
         f"{name}: {labels[0]}{f' and {len(labels) - 1} more' if len(labels) > 1 else ''}: the file "
-        f"says {stated}, the mapping {unit} and is followed; "
+        f"states {stated}, the mapping {unit} and is followed; "
         + (_conversion(said) if mixed else _remedy(name, stated))
         for (stated, unit), labels in found.items()
     ]
@@ -90,7 +90,7 @@ def doubts_of_clock(table: LogTable, clock: Clock, columns: Sequence[Column]) ->
         factor = seconds if stated is None else TIME[stated]
         if column in columns and not np.isclose(factor, seconds, rtol=1e-6):
             doubts.append(
-                f"t: {label}: the file says {stated}, the mapping {seconds:g} s for each unit "
+                f"t: {label}: the file states {stated}, the mapping {seconds:g} s for each unit "
                 f'and is followed; set time.unit = "{stated}" if it is wrong'
             )
     return doubts

@@ -364,7 +364,7 @@ def is_base(label: str) -> bool:
 
 
 def is_relative(label: str) -> bool:
-    """Return whether a marker's name says that its place is relative to the base."""
+    """Return whether a marker's name states that its place is relative to the base."""
     return bool(_RELATIVE.search(label))
 
 

@@ -71,9 +71,9 @@ def on_one_clock(logs: Sequence[Log], opened: Sequence[Columns]) -> OneClock:
     )
     without = listed(dict.fromkeys(_name(tables[k]) for k in bare), _NAMED)
     notes = tuple(
-        f"topic {_name(tables[k])}: time is the log time, as in {without}, whose time is no stamp "
-        f"of the messages: stamps are another clock ({_delay(tables[k])}); time = {{ column = "
-        '"header.stamp" } takes the stamps'
+        f"topic {_name(tables[k])}: time is the log time, as in {without}, where some "
+        f"messages have no stamp: stamps are another clock ({_delay(tables[k])}); time = {{ column "
+        '= "header.stamp" } takes the stamps'
         for k in changed
     )
     left = [k for k in with_stamps if k not in changed]
@@ -101,11 +101,11 @@ def _far(tables: Sequence[Sequence[TopicColumns]], with_stamps: Sequence[int]) -
     delays = [(float(np.median(found)), k) for k in with_stamps if len(found := _late(tables[k]))]
     if not delays or max(delays)[0] - min(delays)[0] <= _APART_S:
         return ()
-    told = " and ".join(
+    both = " and ".join(
         f"{_name(tables[k])} {_delay(tables[k])}" for _, k in (min(delays), max(delays))
     )
     return (
-        f"t: the stamps of the topics are of clocks that are not set alike: {told}: name column = "
+        f"t: the stamps of the topics are of clocks that are not set alike: {both}: name column = "
         f'"{_LOGGED}" in all of them, or give time.offset_s of one',
     )
 

@@ -65,7 +65,7 @@ def parts_of(paths: Sequence[Path]) -> list[Part]:
     """Return the files that paths stand for.
 
     Raises:
-        RunError: a path cannot be read, is no recording, or has an unsupported format.
+        RunError: a path cannot be read, is not a recording, or has an unsupported format.
     """
     found: list[Part] = []
     for path in (path if path.name not in ("", "..") else path.resolve() for path in paths):
@@ -146,8 +146,8 @@ def open_parts(parts: Sequence[Part], log: Log) -> Columns:
         return _recording(parts, log.topic, frame=log.frame_id)
     if log.frame_id is not None:
         raise RunError(
-            f"{first.path}: frame_id = '{log.frame_id[:60]}' is for recordings of ROS, and this is "
-            "none; leave it out"
+            f"{first.path}: frame_id = '{log.frame_id[:60]}' is for recordings of ROS, which this "
+            "is not; leave it out"
         )
     if len(parts) == 1:
         with called(first.file, first.path):
@@ -257,7 +257,7 @@ def assign(parts: list[Part], mapping: Mapping) -> tuple[Mapping, list[Chosen]]:
         logs.
 
     Raises:
-        RunError: a `file` fits no given file; a log has no file, or several that are no parts of
+        RunError: a `file` fits no given file; a log has no file, or several that are not parts of
             one recording; or a file has no log.
     """
     logs, patterns = _alike(mapping.logs)

@@ -45,7 +45,7 @@ _VENDORS: dict[str, Callable[[Path], Columns]] = {
     "nexus": open_nexus,
     "typed": open_typed,
 }
-_TOLD = 6  # columns that are listed
+_LISTED = 6  # columns that are listed
 _NAMED = 8  # missing columns that are listed
 _WIDTH = 200  # characters of a list of columns
 _FEWEST_STEPS = 10  # between rows: fewer show no rate
@@ -65,7 +65,7 @@ class LogTable:
     labels: NDArray[np.generic] | None
     notes: tuple[str, ...]
     doubts: tuple[str, ...] = ()
-    # cells of a line of units that are not known, by column; None if the log is no text
+    # cells of a line of units that are not known, by column; None if the log is not a text
     odd_units: dict[str, str] | None = None
 
     def numbers(self, columns: tuple[Column, ...]) -> Array:
@@ -132,7 +132,7 @@ def _opened(path: Path, log: Log | None) -> Columns:
         return open_db3(path, None if log is None else log.topic)
     if log is not None and log.topic is not None:
         raise RunError(
-            f"{path}: topic = '{log.topic[:60]}' is for MCAP files, and this is none; leave it out"
+            f"{path}: topic = '{log.topic[:60]}' is for MCAP files, which this is not; leave it out"
         )
     if kind == "parquet":
         return open_parquet(path) if log is None else open_parquet(path, log.episode)
@@ -212,7 +212,7 @@ def _without_summaries(columns: Columns, cells: Cells) -> Cells:
     gone = summaries(cells.numbers) if isinstance(columns, TextColumns) else np.zeros(0, np.intp)
     if not len(gone):
         return cells
-    lines = listed([str(line) for line in cells.lines[gone]], _TOLD)
+    lines = listed([str(line) for line in cells.lines[gone]], _LISTED)
     note = (
         f"{len(gone)} of {len(cells.numbers)} rows hold the mean (or another statistic) of the "
         f"others in every column, and were left out as summaries: line {lines}"
@@ -371,12 +371,8 @@ def _finite(cells: Cells, places: list[int], names: list[str]) -> Cells:
     count = np.isinf(cells.numbers).sum(axis=0)
     if not count.any():
         return cells
-    counted = [f"{names[places[j]]} {count[j]}" for j in np.flatnonzero(count)[:_TOLD]]
-    more = f" and {int((count > 0).sum()) - _TOLD} more" if (count > 0).sum() > _TOLD else ""
-    note = (
-        f"infinite values of {len(cells.numbers)} rows are taken as missing: "
-        f"{', '.join(counted)}{more}"
-    )
+    counted = listed((f"{names[places[j]]} {count[j]}" for j in np.flatnonzero(count)), _LISTED)
+    note = f"infinite values of {len(cells.numbers)} rows are taken as missing: {counted}"
     numbers = np.where(np.isinf(cells.numbers), np.nan, cells.numbers)
     return replace(cells, numbers=numbers, notes=(*cells.notes, note))
 
@@ -390,7 +386,7 @@ def _within_reason(
             row = int(np.argmax(wild))
             raise RunError(
                 f"{path}: {where} {cells.lines[row]}, column {names[column]}: "
-                f"{cells.numbers[row, j]:g} is no measurement; correct or remove the line"
+                f"{cells.numbers[row, j]:g} is not a measurement; correct or remove the line"
             )
 
 

@@ -1,7 +1,7 @@
 """List the text columns that a proposed mapping leaves out, with an example cell of each.
 
 A column whose name differs from columns in use only by its number is listed by itself: some of its
-cells are no numbers, so it was left out. Pinned by tests/logs/test_text_columns.py.
+cells are not numbers, so it was left out. Pinned by tests/logs/test_text_columns.py.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Mapping, Sequence
 
+from softmap_edge.files.printable import listed
 from softmap_edge.logs.numbered import without_numbers
 from softmap_edge.logs.readers.cells import is_number
 
@@ -55,9 +56,8 @@ def text_columns(
         else:
             others.append(f"{name} (such as '{example}')")
     if others:
-        more = f" and {len(others) - _NAMED} more" if len(others) > _NAMED else ""
         lines.append(
-            f"what these columns of {log} are: {', '.join(others[:_NAMED])}{more}; they hold text "
+            f"what these columns of {log} are: {listed(others, _NAMED)}; they hold text "
             "and are left out; a column that labels the parts of the protocol can be `block`"
         )
     return lines

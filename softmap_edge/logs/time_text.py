@@ -151,12 +151,12 @@ class TimeText:
             if cell.strip():
                 found = self.match(cell.strip())
                 if found is None:
-                    raise TimeTextError(f"'{cell[:40]}' is no {self.words()}", row)
+                    raise TimeTextError(f"'{cell[:40]}' is not a {self.words()}", row)
                 both[row] = seconds_of(found, known, self.unpadded)
                 if self.form != "local":
                     both[row, 1] = both[row, 0]
                 if np.isnan(both[row]).all():
-                    raise TimeTextError(f"'{cell[:40]}' is no date of the calendar", row)
+                    raise TimeTextError(f"'{cell[:40]}' is not a date of the calendar", row)
         return both
 
     def match(self, cell: str) -> re.Match[str] | None:
@@ -192,7 +192,7 @@ class TimeText:
         if self.form != "local" or self.order is not None:
             column = 1 if self.order == "mdy" else 0
             if np.isnan(both[~np.isnan(both).all(axis=1), column]).any():
-                raise TimeTextError(f"the dates are no {ORDER_WORDS[self.order or 'dmy']}")
+                raise TimeTextError(f"the dates are not {ORDER_WORDS[self.order or 'dmy']}")
             return both[:, column], None
         return _ordered(both)
 

@@ -304,7 +304,7 @@ def _candidate(
 
 
 def _flag(columns: list[str], points: Array) -> str | None:
-    """Return that points (n, 3) are no position, because a coordinate is only 0 and 1.
+    """Return that points (n, 3) are not positions, because a coordinate is only 0 and 1.
 
     Positions in whole numbers may have such a coordinate, if they have another one too.
     """

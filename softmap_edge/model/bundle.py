@@ -384,12 +384,12 @@ def _model(folder: Path, manifest: Document, trusted: Trust) -> Model:
     if prior.size != rest.size:
         raise BundleError(
             f"{folder.name}: template {rest.shape} and prior of {prior.size} numbers do not fit "
-            "together"
+            "together; make the bundle again"
         )
     if prior.channels != manifest["channels"]:
         raise BundleError(
-            f"{folder.name}: prior of {prior.channels} channels, manifest says "
-            f"{manifest['channels']}"
+            f"{folder.name}: prior of {prior.channels} channels, but the manifest states "
+            f"{manifest['channels']}; make the bundle again"
         )
     apart = foreign["prior"]["table_off_mm"] if "prior" in foreign else 0.0
     made_from = _made_from(manifest) | ({"through_onnxruntime": foreign} if foreign else {})

@@ -205,7 +205,8 @@ def test_columns_are_those_that_the_header_names(header, order, note, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "header, says", [("x,y,depth", "not each"), ("x,y,z,x", "not each"), ("x_m,y_m,z_m", "says m;")]
+    "header, says",
+    [("x,y,depth", "not each"), ("x,y,z,x", "not each"), ("x_m,y_m,z_m", "states m;")],
 )
 def test_a_header_of_other_columns_or_units_is_refused(header, says, tmp_path):
     rows = POINTS if header.count(",") == 2 else np.column_stack([POINTS, POINTS[:, 0]])

@@ -236,7 +236,7 @@ def test_recordings_that_overlap_in_time_are_no_parts(tmp_path):
     message = refused([one, other])
     assert (
         "bag_0.mcap and bag_1.mcap overlap in time" in message
-        and "no parts of one recording" in message
+        and "not parts of one recording" in message
     )
 
 

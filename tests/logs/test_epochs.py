@@ -38,7 +38,7 @@ def test_counts_of_a_plausible_date_are_read_from_its_epoch(tmp_path, start, ste
     found = guess_mapping([path])
     assert f'unit = "{unit}"' in found.text
     assert any(says in line for line in found.assumed if line.startswith("time of"))
-    assert not any("is no date" in line for line in found.unknown)
+    assert not any("is not a date" in line for line in found.unknown)
     run = import_logs([path], parse_mapping(found.text, path)).run
     seconds = {"100ns": 1e-7, "ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}[unit]
     assert np.diff(run.t) == pytest.approx(step * seconds, rel=1e-3)
@@ -54,14 +54,14 @@ def test_counts_of_a_plausible_date_are_read_from_its_epoch(tmp_path, start, ste
 )
 def test_counts_without_a_plausible_date_are_unknown(tmp_path, start, step):
     found = guess_mapping([log(tmp_path, start, step)])
-    assert any("is no date from 1990 to 2100" in line for line in found.unknown)
+    assert any("is not a date from 1990 to 2100" in line for line in found.unknown)
     assert not any("since 1970" in line for line in found.assumed)
 
 
 @pytest.mark.parametrize(("start", "step"), [(0, 50), (5_000_000_000_000, 50_000_000), (7, 1)])
 def test_counts_since_the_start_stay_without_a_date(tmp_path, start, step):
     found = guess_mapping([log(tmp_path, start, step)])
-    assert not any("is no date" in line for line in found.unknown)
+    assert not any("is not a date" in line for line in found.unknown)
     assert not any("since" in line for line in found.assumed)
 
 

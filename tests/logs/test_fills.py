@@ -55,7 +55,7 @@ def test_the_largest_number_of_a_type_may_be_there_once(tmp_path, cell):
 def test_other_huge_numbers_stay_an_error(tmp_path, cells):
     mapping = guess_mapping([log(tmp_path, [])]).text
     path = log(tmp_path, cells)
-    with pytest.raises(RunError, match="line 22, .* is no measurement"):
+    with pytest.raises(RunError, match="line 22, .* is not a measurement"):
         import_logs([path], parse_mapping(mapping, path))
 
 

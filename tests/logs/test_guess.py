@@ -207,7 +207,9 @@ def test_units_in_the_names_of_markers_are_believed(tmp_path):
     names = [f"{name} (mm)" for name in XYZ]
     path = written(tmp_path, bench_log(["t (s)", "u1 (mm)", "u2 (mm)", *names], t, u, points / 10))
     found = guess_mapping([path])
-    assert 'markers = { unit = "mm"' in found.text and reported(found.assumed, "their names say mm")
+    assert 'markers = { unit = "mm"' in found.text and reported(
+        found.assumed, "their names state mm"
+    )
     tall = np.ptp(imported(tmp_path, found, [path]).run.markers[5], axis=0)[2]
     assert tall == pytest.approx(12, abs=0.1)
 

@@ -101,7 +101,7 @@ def test_an_array_with_a_malformed_scale_is_left_out(tmp_path, value):
 @pytest.mark.parametrize("key", ["_FillValue", "missing_value"])
 def test_a_malformed_fill_is_named(tmp_path, key, value):
     notes = open_hdf5(written(tmp_path / "log.h5", log(**{key: value}))).notes
-    assert notes == (f"markers: its attribute {key} is no plain number and is not used",)
+    assert notes == (f"markers: its attribute {key} is not a plain number and is not used",)
 
 
 def test_a_fill_of_another_width_is_found(tmp_path):

@@ -281,7 +281,7 @@ def test_structs_without_a_byte_are_read():
             "longer than its message",
         ),
         ("pkg/Absent x", b"\0\1\0\0", "not defined"),
-        ("float64 x; y", b"\0\1\0\0", "not defined|no field|ends early"),
+        ("float64 x; y", b"\0\1\0\0", "not defined|not a field|ends early"),
         (
             "\n".join(f"float64[1000] x{k}" for k in range(5)),
             b"\0\1\0\0" + b"\0" * 40_000,

@@ -68,8 +68,8 @@ def test_the_unit_of_the_file_is_followed_or_doubted(tmp_path, form):
     t, points = places()
     path, _ = take(tmp_path, form, "m", points, t)
     said = taken(tmp_path, path, MAP.replace('"tip.z"]', '"tip.z"], unit = "cm"'))
-    assert any("the file says m, the mapping cm" in doubt for doubt in said.doubts)
-    with pytest.raises(RunError, match="the file says m, the mapping mm"):
+    assert any("the file states m, the mapping cm" in doubt for doubt in said.doubts)
+    with pytest.raises(RunError, match="the file states m, the mapping mm"):
         taken(tmp_path, path, MAP.replace('"tip.z"]', '"tip.z"], unit = "mm"'))
 
 
@@ -97,10 +97,14 @@ def test_two_c3d_markers_of_one_name_stay_two(tmp_path):
         ("trc", lambda b: b.replace(b"\tX3\tY3\tZ3", b""), ["3 markers, line 5 has 6"]),
         ("trc", lambda b: b"\n".join(b.split(b"\n")[:6]), ["holds no frames"]),
         ("trc", lambda b: b[:-30], ["cells, expected 11"]),
-        ("motive", lambda b: b.replace(b"Name,Plate", b"Nome,Plate"), ["no CSV export of Motive"]),
+        (
+            "motive",
+            lambda b: b.replace(b"Name,Plate", b"Nome,Plate"),
+            ["not a CSV export of Motive"],
+        ),
         ("motive", lambda b: b"\n".join(b.split(b"\n")[:7]), ["holds no frames"]),
-        ("c3d", lambda b: b[:100], ["is no C3D file"]),
-        ("c3d", lambda b: b"\x02\x51" + b[2:], ["is no C3D file"]),
+        ("c3d", lambda b: b[:100], ["is not a C3D file"]),
+        ("c3d", lambda b: b"\x02\x51" + b[2:], ["is not a C3D file"]),
         ("c3d", lambda b: b[:700], ["C3D file"]),
     ],
 )

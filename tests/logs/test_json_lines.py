@@ -108,7 +108,7 @@ def test_a_last_line_that_was_cut_is_left_out(tmp_path):
     path = written(tmp_path, (json.dumps(MAKES["nested"](k)) for k in range(K)))
     path.write_bytes(path.read_bytes()[:-25])
     done = imported(path)
-    assert len(done.run.t) == K - 1 and any("no complete object" in note for note in done.notes)
+    assert len(done.run.t) == K - 1 and any("not a complete object" in note for note in done.notes)
 
 
 def test_a_packed_log(tmp_path):
@@ -143,7 +143,10 @@ FAULTS = {
     "one name by two ways": (['{"a.b": 1, "a": {"b": 2}}'] * 2, "line 1 .* 'a.b' twice"),
     "deep": ([nested(20)] * 2, "line 1 nests objects and lists deeper than 8 levels"),
     "very deep": ([nested(100_000)] * 2, "line 1 nests objects and lists deeper"),
-    "no JSON": (['{"t": 0}', '{"t": oops}', '{"t": 2}'], "line 2, character 7: is no JSON object"),
+    "no JSON": (
+        ['{"t": 0}', '{"t": oops}', '{"t": 2}'],
+        "line 2, character 7: is not a JSON object",
+    ),
     "a list between": (['{"t": 0}', "[1, 2]", '{"t": 2}'], "line 2 is JSON, but no object"),
     "no values": (["{}"] * 3, "hold no values"),
     "one object": (['{"t": [1, 2, 3]}'], "holds one JSON object"),

@@ -56,4 +56,4 @@ def test_the_frame_counter_of_a_pose_estimator_is_no_label(tmp_path):
     (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
     found = guess_mapping([tmp_path / "log.csv"])
     assert "\nblock =" not in found.text and "markers = {" in found.text
-    assert any("are likelihoods, no coordinates" in line for line in found.assumed)
+    assert any("are likelihoods, not coordinates" in line for line in found.assumed)

@@ -81,7 +81,7 @@ def read(path, old="", new=""):
 def test_a_likelihood_decides_what_was_seen(tmp_path, make):
     path = make(tmp_path)
     guess = guess_mapping([path])
-    assert any("are likelihoods, no coordinates" in line for line in guess.assumed)
+    assert any("are likelihoods, not coordinates" in line for line in guess.assumed)
     assert any("the mm of one pixel" in line for line in guess.unknown)
     assert 'unit = "px", scale = 1.0' in guess.text and 'block = "' not in guess.text
     done = read(path)
@@ -89,7 +89,7 @@ def test_a_likelihood_decides_what_was_seen(tmp_path, make):
     assert done.run.markers.shape == (FRAMES, 3, 3) and seen[:, :2].all()
     assert np.flatnonzero(~seen[:, 2]).tolist() == LOST
     assert any(f"{len(LOST)} of 240 places with a likelihood below 0.6" in n for n in done.notes)
-    assert any("pixels, which are no mm" in doubt for doubt in done.doubts)
+    assert any("pixels, which are not mm" in doubt for doubt in done.doubts)
 
 
 @pytest.mark.parametrize("make", MAKERS)
@@ -118,7 +118,7 @@ def test_places_in_pixels_without_a_likelihood(tmp_path, name):
     path = write(tmp_path / "log.csv", head, lines)
     guess = guess_mapping([path])
     assert any("the mm of one pixel: the log states px" in line for line in guess.unknown)
-    assert any("pixels, which are no mm" in doubt for doubt in read(path).doubts)
+    assert any("pixels, which are not mm" in doubt for doubt in read(path).doubts)
 
 
 def test_a_pressure_is_no_likelihood(tmp_path):

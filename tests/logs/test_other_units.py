@@ -65,10 +65,10 @@ def test_a_unit_in_the_name_of_a_command_is_held_against_the_mapping(
     tmp_path, form, unit, command_unit, stated
 ):
     done = doubts(log(tmp_path, named(form)), form, unit, command_unit)
-    found = [one for one in done.doubts if "the file says" in one]
+    found = [one for one in done.doubts if "the file states" in one]
     assert len(found) == (stated is not None)
     for line in found:
-        assert f"the file says {stated}, the mapping {unit} and is followed; " in line
+        assert f"the file states {stated}, the mapping {unit} and is followed; " in line
         assert line.startswith(f"command: {form.format(0)} and 1 more: ")
         assert "set unit" in line or "`scale`" in line
 
@@ -84,7 +84,7 @@ def test_a_unit_in_the_name_of_a_command_is_held_against_the_mapping(
 )
 def test_a_line_of_units_is_held_against_the_mapping(tmp_path, row, unit, command_unit, stated):
     done = doubts(log(tmp_path, NAMES, row), ["u0", "u1"], unit, command_unit)
-    assert any(f"the file says {stated}, the mapping {unit}" in one for one in done.doubts)
+    assert any(f"the file states {stated}, the mapping {unit}" in one for one in done.doubts)
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_a_line_of_units_is_held_against_the_mapping(tmp_path, row, unit, comman
 )
 def test_a_unit_that_agrees_or_is_none_is_not_doubted(tmp_path, form, unit, command_unit, more):
     done = doubts(log(tmp_path, named(form)), form, unit, command_unit, more)
-    assert not any("the file says" in one for one in done.doubts)
+    assert not any("the file states" in one for one in done.doubts)
 
 
 @pytest.mark.parametrize(
@@ -136,10 +136,10 @@ markers = {{ columns = [["x", "y", "z"]] }}
 def test_places_are_compared_column_by_column(tmp_path, places):
     names = [*NAMES[:3], *places, "extra"]
     done = doubts(log(tmp_path, names), ["u0", "u1"], markers="um")
-    assert any("the file says mm, the mapping um" in one for one in done.doubts)
+    assert any("the file states mm, the mapping um" in one for one in done.doubts)
     mixed = [*NAMES[:3], "x_mm", "y_mm", "z_cm", "extra"]
     done = doubts(log(tmp_path, mixed), ["u0", "u1"])
-    assert any("z_cm: the file says cm, the mapping mm" in one for one in done.doubts)
+    assert any("z_cm: the file states cm, the mapping mm" in one for one in done.doubts)
 
 
 @pytest.mark.parametrize(
@@ -153,9 +153,9 @@ def test_places_are_compared_column_by_column(tmp_path, places):
 )
 def test_a_unit_of_time_is_compared_too(tmp_path, name, unit, stated):
     done = doubts(log(tmp_path, [name, *NAMES[1:]]), ["u0", "u1"], time=f'"{unit}"')
-    found = [one for one in done.doubts if "the file says" in one]
+    found = [one for one in done.doubts if "the file states" in one]
     assert len(found) == (stated is not None)
-    assert stated is None or f"the file says {stated}" in found[0] and "set time.unit" in found[0]
+    assert stated is None or f"the file states {stated}" in found[0] and "set time.unit" in found[0]
 
 
 @pytest.mark.parametrize("name", ["force [mN]", "force_kg", "angle (deg)"])
@@ -168,13 +168,13 @@ command = {{ columns = ["u0", "u1"] }}
 output = {{ columns = ["{name}"], unit = "N" }}
 """
     done = import_logs([path], parse_mapping(text, path))
-    assert any(f"output: {name}: the file says" in one for one in done.doubts)
+    assert any(f"output: {name}: the file states" in one for one in done.doubts)
 
 
 @pytest.mark.parametrize("form", ["cmd_{} [mm]", "cmd_{} (deg)", "cmd_{}_rad", "cmd_{} [%]", "u{}"])
 def test_a_proposal_never_contradicts_its_log(tmp_path, form):
     found = guess_mapping([log(tmp_path, named(form))])
-    assert not any("the file says" in line for line in found.said)
+    assert not any("the file states" in line for line in found.said)
 
 
 @pytest.mark.parametrize(
@@ -201,7 +201,7 @@ markers = { columns = [[3, 4, 5], [6, 7, 8]] }
     done = import_logs([tmp_path / "log.csv"], parse_mapping(text, "m.toml"))
     assert np.allclose(done.run.markers[:, 0], POINT, atol=1e-3)
     assert np.allclose(done.run.markers[:, 1], POINT / 2, atol=1e-3)
-    assert not any("the file says" in one for one in done.doubts)
+    assert not any("the file states" in one for one in done.doubts)
 
 
 @pytest.mark.parametrize(
@@ -209,13 +209,13 @@ markers = { columns = [[3, 4, 5], [6, 7, 8]] }
 )
 def test_a_marker_whose_columns_state_several_units_is_doubted(tmp_path, row):
     done = doubts(log(tmp_path, NAMES, row + ",-"), ["u0", "u1"], markers="file")
-    assert any(one.startswith("markers: ") and "the file says" in one for one in done.doubts)
+    assert any(one.startswith("markers: ") and "the file states" in one for one in done.doubts)
 
 
 @pytest.mark.parametrize("names", [["x_cm", "y_cm", "z_cm"], ["x [m]", "y [m]", "z [m]"]])
 def test_a_name_is_held_against_a_mapping_without_a_unit(tmp_path, names):
     done = doubts(log(tmp_path, [*NAMES[:3], *names, "extra"]), ["u0", "u1"], markers="file")
-    assert any("the file says" in one and "the mapping mm" in one for one in done.doubts)
+    assert any("the file states" in one and "the mapping mm" in one for one in done.doubts)
 
 
 # --- places in several units ---------------------------------------------------------------

@@ -59,7 +59,7 @@ def test_lengths_that_are_stated_are_read(tmp_path, form, mm, row):
     for unit in ("in", "ft"):
         stated = stated.replace(f'unit = "{unit}", columns = [\n', wrong)
     doubts = doubts_or_fault(log, stated)
-    assert any("the file says" in doubt for doubt in doubts)
+    assert any("the file states" in doubt for doubt in doubts)
     assert not any("looks like m:" in doubt for doubt in doubts)
 
 
@@ -85,7 +85,7 @@ def test_commands_in_inches_and_feet(tmp_path, form, mm):
 def test_a_unit_of_commands_that_is_not_known_is_quoted_and_kept(tmp_path, form, unit, row):
     log = written(tmp_path / "log.csv", command=form, pull=0.2, row=row)
     found = guess_mapping([log])
-    assert any(f"the log states '{unit}', which is no unit" in line for line in found.unknown)
+    assert any(f"the log states '{unit}', which is not a unit" in line for line in found.unknown)
     assert import_logs([log], parse_mapping(found.text, log)).run.command_unit == unit
 
 
@@ -119,13 +119,13 @@ def test_names_without_a_unit_state_none():
     ("command", "marker", "line"),
     [
         ("cmd", "marker_{}_{}_mm", "UNKNOWN  the unit of the commands: mm is only likely"),
-        ("cmd (mm)", "{1}", "their name says mm"),
+        ("cmd (mm)", "{1}", "their name states mm"),
         ("cmd [px]", "marker_{}_{}_mm", '"px"'),
         ("motor", "{1} (mm)", "the unit of the commands: mm is only likely"),
     ],
 )
 def test_columns_of_one_name_state_only_what_stands_in_their_name(tmp_path, command, marker, line):
-    """Two columns of one name are distinguished by their numbers, which are no unit."""
+    """Two columns of one name are distinguished by their numbers, which are not units."""
     found = guess_mapping([written(tmp_path / "log.csv", marker, command)])
     assert line in found.text
     assert '"column' not in found.text and "'column" not in found.text

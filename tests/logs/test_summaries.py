@@ -1,4 +1,4 @@
-"""Rows that hold the mean, the spread or the sum of a table are no rows of the run."""
+"""Rows that hold the mean, the spread or the sum of a table are not rows of the run."""
 
 import numpy as np
 import pytest

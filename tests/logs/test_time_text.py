@@ -211,7 +211,7 @@ def test_a_cell_that_is_no_time_is_named_with_its_line(tmp_path):
     lines[20] = "soon" + lines[20][lines[20].index(",") :]
     path = write(tmp_path / "log.csv", ",".join(NAMES), lines)
     mapping = 'schema = "softmap.mapping/1"\n[[log]]\ntime = { column = "time" }\ncommand = { columns = ["cmd_1"] }'
-    with pytest.raises(RunError, match=r"line 22, column time: 'soon' is no date"):
+    with pytest.raises(RunError, match=r"line 22, column time: 'soon' is not a date"):
         import_logs([path], parse_mapping(mapping, path))
     with pytest.raises(RunError, match=r"time holds dates or times; leave unit"):
         path = write(tmp_path / "log.csv", ",".join(NAMES), rows(time=FORMS["iso"][0]))

@@ -248,10 +248,10 @@ def test_rows_of_types_with_bodies(tmp_path):
             "frame,3,0.03,0,2,0.1,0.2,0.3,1,a",
             "states 0 bodies and 2 markers and has 10 cells, expected 15",
         ),
-        ("frame,3,0.03,x,0", "cell 4: x is no count"),
-        ("frame,3", "cell 4: nothing is no count"),
+        ("frame,3,0.03,x,0", "cell 4: x is not a count"),
+        ("frame,3", "cell 4: nothing is not a count"),
         ("frame,3,0.03,0,1,oops,0.2,0.3,1,a", "'oops' is not a number"),
-        ("frame,3,0.03,99999,1", "cell .*: nothing is no count"),
+        ("frame,3,0.03,99999,1", "cell .*: nothing is not a count"),
     ],
 )
 def test_damaged_rows_of_types_are_refused_in_one_line(tmp_path, row, words):

@@ -92,7 +92,7 @@ def test_a_ruler_refines_the_radius(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "radius 2.330 ±" in said and "--ruler TICKS" not in said
     with pytest.raises(
-        CalibrationError, match=r"the ruler says a radius of 2.33 .*\(radius, not diameter"
+        CalibrationError, match=r"the ruler gives a radius of 2.33 .*\(radius, not diameter"
     ):
         radius(2 * R, (8192.0, 29.28))
 

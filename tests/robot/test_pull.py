@@ -155,7 +155,7 @@ def test_a_servo_without_current_and_a_stroke_beyond_a_move_are_refused():
 def test_a_servo_that_is_silent_of_its_current_is_reported(monkeypatch):
     monkeypatch.setattr(Jog, "current", np.full(2, np.nan))
     with emulated_rig() as (bus, rig, _):
-        with pytest.raises(ServoError, match="servo 1 says nothing of its current"):
+        with pytest.raises(ServoError, match="servo 1 does not report its current"):
             pull(effective_limits(replace(rig, ceiling=QUICK), FINGER), Held())
         assert not torque(bus)
 
@@ -211,5 +211,5 @@ def test_time_goes_on_only_while_it_is_held(brief, monkeypatch):
 
     jog = Jogged(0.0)
     assert len(_stand(jog, 0, Pauses())) >= LEAST_READ
-    with pytest.raises(ServoError, match="servo 1 says nothing of its current"):
+    with pytest.raises(ServoError, match="servo 1 does not report its current"):
         _stand(Jogged(0.0, says=False), 0, Held())

@@ -118,7 +118,7 @@ def _named(names: Sequence[str], header: str, label: str) -> dict[str, Triple]:
     chosen = [""] if "" in triples else list(triples)
     if other := sorted(set().union(*(units[stem] for stem in chosen)) - {"mm"}) if chosen else []:
         raise RegistrationError(
-            f"{label}: {header} says {', '.join(other)}; clouds are read in mm, convert it"
+            f"{label}: {header} states {', '.join(other)}; clouds are read in mm, convert it"
         )
     return triples
 

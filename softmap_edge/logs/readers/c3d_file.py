@@ -51,7 +51,7 @@ def open_c3d(path: Path) -> HeldColumns:
             f"{path}: cannot be read ({cause.strerror or cause}); give the path of a log"
         ) from cause
     if len(data) < 512 or data[1] != 0x50:
-        raise RunError(f"{path}: is no C3D file (its second byte is not 0x50); export it again")
+        raise RunError(f"{path}: is not a C3D file (its second byte is not 0x50); export it again")
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")  # about absent analog data

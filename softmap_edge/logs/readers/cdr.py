@@ -130,7 +130,7 @@ def _field(line: str, owner: str) -> Field | None:
         return None
     found = _FIELD.match(line)
     if found is None:
-        raise CdrError(f"'{line[:60]}' is no field of a message")
+        raise CdrError(f"'{line[:60]}' is not a field of a message")
     kind, array, name = found[1], found[3], found[4]
     if kind not in PRIMITIVES and kind not in ("string", "wstring"):
         kind = _short(kind if "/" in kind else f"{owner.split('/')[0]}/{kind}")

@@ -32,7 +32,7 @@ _NONE = ("", "1", "-", "none")  # units of plain numbers
 
 @dataclass
 class Described:
-    """What the attributes of an array say.
+    """What the attributes of an array state.
 
     Attributes:
         scale, offset: value = scale x stored number + offset.
@@ -63,7 +63,7 @@ class Described:
 
 
 def described(name: str, entry: Dataset) -> Described:
-    """Return what the attributes of an array say.
+    """Return what the attributes of an array state.
 
     Args:
         name: of the array, for notes.
@@ -91,7 +91,7 @@ def described(name: str, entry: Dataset) -> Described:
     if found.fault is None and (found.scale, found.offset) != (1.0, 0.0):
         found.notes.append(
             f"{name}: read as {found.scale:g} times the stored numbers, plus {found.offset:g}, as "
-            "its attributes say"
+            "its attributes state"
         )
     return found
 
@@ -111,7 +111,7 @@ def _malformed(found: Described, name: str, key: str) -> None:
     if key in SCALES:
         found.fault = f"its attribute {key} is not one plain number"
     else:
-        found.notes.append(f"{name}: its attribute {key} is no plain number and is not used")
+        found.notes.append(f"{name}: its attribute {key} is not a plain number and is not used")
 
 
 def _take_unit(found: Described, name: str, value: NDArray[np.generic] | None) -> None:
@@ -119,7 +119,7 @@ def _take_unit(found: Described, name: str, value: NDArray[np.generic] | None) -
     if isinstance(one, bytes):
         one = one[:_BYTES].decode("utf-8", "replace")
     if not isinstance(one, str):
-        found.notes.append(f"{name}: its attribute units is no short text and is not used")
+        found.notes.append(f"{name}: its attribute units is not a short text and is not used")
         return
     text = one[:_BYTES].strip(" \0[](){}")
     since = _SINCE.fullmatch(text)

@@ -44,7 +44,7 @@ class Table:
         width: cells of a row.
         fewest: cells of a row whose last cells, all empty, are left out.
         units: by name, where a line of units stands between names and rows.
-        stated: by name, the cells of that line which are no known unit.
+        stated: by name, the cells of that line that are not a known unit.
         clash: indices of a line above the rows that could be names but has another number of cells.
     """
 

@@ -109,7 +109,7 @@ def open_json_lines(path: Path, skip_rows: int, skip_last: int, order: str | Non
         order: `dmy` or `mdy` for dates such as 5/7/2031; None: the rows decide.
 
     Raises:
-        RunError: a line is no object, nests too deep, or has a key twice; or there is no room.
+        RunError: a line is not an object, nests too deep, or has a key twice; or there is no room.
     """
     keep = Unpacked(Path(tempfile.mkdtemp(prefix="softmap-")) / f"{path.stem}.csv")
     names: dict[str, int] = {}
@@ -159,7 +159,7 @@ def _write(path: Path, file: TextIO, names: dict[str, int]) -> tuple[int, tuple[
             row = _row(path, number, bare, names)
         except json.JSONDecodeError as cause:
             fault = RunError(
-                f"{path}: line {number}, character {cause.pos + 1}: is no JSON object "
+                f"{path}: line {number}, character {cause.pos + 1}: is not a JSON object "
                 f"({cause.msg}); remove the line, or {WAY_OUT}"
             )
             continue
@@ -176,7 +176,7 @@ def _write(path: Path, file: TextIO, names: dict[str, int]) -> tuple[int, tuple[
     if count == 1:
         raise RunError(f"{path}: holds one JSON object, so no rows of a table; {WAY_OUT}")
     notes = [f"JSON Lines: the keys of {count} objects are {len(names)} columns"]
-    notes += [] if fault is None else ["the last line is no complete object and was left out"]
+    notes += [] if fault is None else ["the last line is not a complete object and was left out"]
     return fewest, tuple(notes)
 
 
@@ -213,7 +213,7 @@ def _row(path: Path, number: int, line: str, names: dict[str, int]) -> list[str]
         if at >= MOST_COLUMNS:
             raise RunError(
                 f"{path}: line {number}: more than {MOST_COLUMNS} values in one object or in all "
-                f"keys together, so it is no row of a table; {WAY_OUT}"
+                f"keys together, so it is not a row of a table; {WAY_OUT}"
             )
         row += [""] * (at + 1 - len(row))
         row[at] = cell

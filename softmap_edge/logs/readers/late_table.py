@@ -37,7 +37,7 @@ class Found:
         lines: those that were searched.
         table: the table among them; None without rows of numbers.
         skipped: lines above them.
-        hidden: how many of these are no remarks and are not skipped by the mapping.
+        hidden: how many of these are not remarks and are not skipped by the mapping.
     """
 
     lines: list[str]
@@ -71,7 +71,7 @@ def _found(path: Path, delimiter: str | None, skipped: int) -> Found:
 
 
 def _late_start(path: Path, first: Found, delimiter: str | None) -> tuple[int, int] | None:
-    """Return the lines above those to search for a table far below, and how many are no remarks.
+    """Return the lines above those to search for a table far below, and how many are not remarks.
 
     None if the table of the first lines is the log's.
     """

@@ -80,7 +80,7 @@ class Messages:
         with self._path.open("rb") as file:
             if file.read(len(MAGIC)) != MAGIC:
                 raise RunError(
-                    f"{self._path}: is no MCAP file (its first bytes are others); give the .mcap "
+                    f"{self._path}: is not an MCAP file (it begins with other bytes); give the .mcap "
                     "of the recording"
                 )
             size = self._path.stat().st_size

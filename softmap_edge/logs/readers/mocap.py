@@ -53,7 +53,7 @@ def open_trc(path: Path) -> TextColumns:
     cells = [[cell.strip() for cell in line.split("\t")] for line in lines]
     if len(cells) < 5 or not cells[3] or cells[3][0].lower().rstrip("#") != "frame":
         raise RunError(
-            f"{path}: is no TRC file (its fourth line does not name Frame#, Time and markers); "
+            f"{path}: is not a TRC file (its fourth line does not name Frame#, Time and markers); "
             "export it again"
         )
     stated = dict(zip(cells[1], cells[2]))
@@ -83,7 +83,7 @@ def open_motive(path: Path) -> TextColumns:
     named = next((row for row in cells[:at] if len(row) > 1 and row[1].lower() == "name"), None)
     if at is None or named is None or at < 2 or len(cells[at]) < 3:
         raise RunError(
-            f"{path}: is no CSV export of Motive (no lines Name and Frame in its head); export it "
+            f"{path}: is not a CSV export of Motive (no lines Name and Frame in its head); export it "
             "again"
         )
     width = len(cells[at])

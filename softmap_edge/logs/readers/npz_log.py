@@ -44,7 +44,7 @@ def open_npz(path: Path) -> ArrayColumns:
         raise RunError(f"{path}: is a damaged NumPy file ({why}); save it again") from None
     if "t" in arrays and any(entry.startswith("command_unit ") for entry in left_out):
         raise RunError(
-            f"{path}: is a run already; `softmap check {path.name}` says what it can identify"
+            f"{path}: is a run already; `softmap check {path.name}` reports what it can identify"
         )
     if sum(array.size for array in arrays.values()) > MOST:
         raise RunError(f"{path}: holds more than {MOST} numbers; split the log")

@@ -233,7 +233,7 @@ class JoinedColumns:
                 name = " and ".join(str(column) for column in self.clock.columns)
                 raise RunError(
                     f"{self.path}: {self.parts[k][0]} and {self.parts[later][0]} overlap in time "
-                    f"({name} ends at {end} s and begins at {begin} s), so they are no parts of "
+                    f"({name} ends at {end} s and begins at {begin} s), so they are not parts of "
                     "one recording; import each by itself, then join the runs with `softmap run "
                     "join`"
                 )

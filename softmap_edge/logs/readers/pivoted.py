@@ -68,7 +68,7 @@ class PivotedColumns:
 
     @property
     def odd_units(self) -> dict[str, str] | None:
-        """The cells of a line of units that are not known; None if the log is no text."""
+        """The cells of a line of units that are not known; None if the log is not a text."""
         odd: dict[str, str] | None = getattr(self.inner, "odd_units", None)
         return None if odd is None else self._for_markers(odd)
 
@@ -204,7 +204,7 @@ def pivoted(columns: Columns, path: Path, frame: list[int], marker: list[int]) -
     )
     layout = Layout(markers, frames, code, keys.lines[first], note)
     own = [k for k in range(len(columns.names)) if k not in (*frame, *marker)]
-    # a name of one letter says nothing, and `q.x` looks like a rate: `body q.x`
+    # `q.x` of a marker `q` looks like a rate, so it becomes `body q.x`
     called = [f"{named} {name}" if len(name) == 1 and name.isalpha() else name for name in markers]
     added = [
         name if len(own) == 1 else f"{name}.{columns.names[place]}"

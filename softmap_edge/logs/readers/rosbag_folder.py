@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from softmap_edge.errors import RunError
+from softmap_edge.files.printable import listed
 from softmap_edge.logs.lerobot import dataset_files, is_dataset
 
 METADATA = "metadata.yaml"
@@ -153,6 +154,4 @@ def _contents(inside: list[Path]) -> str:
     names = [path.name for path in inside if path.is_file()]
     if not names:
         return "it holds no files"
-    return f"it holds {', '.join(names[:5])[:200]}" + (
-        f" and {len(names) - 5} more" if len(names) > 5 else ""
-    )
+    return f"it holds {listed(names, 5, 40)}"

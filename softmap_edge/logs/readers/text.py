@@ -388,7 +388,9 @@ class TextColumns:
             word is not None and not any(line.lstrip('" ').startswith(word) for line in below)
         ):
             return ""
-        lines = "line at the end is no row" if len(below) == 1 else "lines at the end are no rows"
+        lines = (
+            "line at the end is not a row" if len(below) == 1 else "lines at the end are not rows"
+        )
         return f"{len(below)} {lines} ('{below[0][:40]}'): set skip_last_rows = {len(below)}"
 
     def _number(self, cell: str, line: int, column: int) -> float:
@@ -417,7 +419,7 @@ class TextColumns:
         )
 
     def _remedy(self, cell: str, odd: bool) -> str:
-        """Return the remedy for a cell that is no number because of commas or points; else ""."""
+        """Return the remedy for a cell that is not a number because of commas or points; else ""."""
         if odd and self.decimal in self.marks.decimals:
             return (
                 "; if its digits are in groups of three, "

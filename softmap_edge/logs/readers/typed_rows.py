@@ -114,7 +114,7 @@ def _count(path: Path, number: int, cells: list[str], at: int) -> int:
         return int(cells[at])
     found = cells[at][:20] if at < len(cells) else "nothing"
     raise RunError(
-        f"{path}: line {number}, cell {at + 1}: {found} is no count of bodies or markers; remove "
+        f"{path}: line {number}, cell {at + 1}: {found} is not a count of bodies or markers; remove "
         "the line, or export as CSV 1.2 or C3D"
     )
 

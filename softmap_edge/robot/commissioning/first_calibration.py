@@ -69,7 +69,7 @@ def radius(pulley_mm: float, ruler: tuple[float, float] | None = None) -> Radius
     apart = abs(read - pulley_mm) / np.hypot(sigma, doubt)
     if apart > AGREE:
         raise CalibrationError(
-            f"the ruler says a radius of {read:.3g} ± {doubt:.2g} mm, the pulley has "
+            f"the ruler gives a radius of {read:.3g} ± {doubt:.2g} mm, the pulley has "
             f"{pulley_mm:g} ± {sigma:.2g}: {apart:.1f} standard deviations apart, allowed are "
             f"{AGREE:g}; measure both again (radius, not diameter)"
         )

@@ -268,7 +268,7 @@ def _stand(jog: Jog, k: int, hand: Deadman) -> list[tuple[float, float]]:
             return lately
         if held >= STANDS + PATIENCE:
             raise ServoError(
-                f"servo {servo.id} says nothing of its current; look at the wiring of the bus"
+                f"servo {servo.id} does not report its current; look at the wiring of the bus"
             )
         time.sleep(EVERY)
 

@@ -142,7 +142,7 @@ class Controller(Supervisor):
             self._wait(
                 lambda: None not in (self._last.get("position") or [None]),
                 STARTS,
-                "the servos say nothing",
+                "the servos do not answer",
             )
             self._mark = session_mark.begin(
                 self.rig.port, self._record, self._process.pid if self._process else 0

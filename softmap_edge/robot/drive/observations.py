@@ -216,7 +216,7 @@ def read_kept(file: Path) -> Kept:
     """Return the stored frames: every line with a correct checksum, up to the last complete one.
 
     Raises:
-        RunError: it is no such file, or it is damaged and no checksum shows where.
+        RunError: it is not such a file, or it is damaged and no checksum shows where.
     """
     try:
         if file.exists() and not file.is_file():

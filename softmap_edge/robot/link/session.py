@@ -271,7 +271,7 @@ def udp_address(text: str) -> tuple[str, int]:
     The host may be omitted, or be an IPv6 address in brackets.
 
     Raises:
-        LinkError: it is no such address.
+        LinkError: it is not such an address.
     """
     found = re.fullmatch(r"udp://(?:\[([0-9A-Fa-f:.%]+)\]|([^\[\]:/@]*)):(\d{1,5})/?", text)
     if found is None or not 1 <= int(found[3]) <= 65535:

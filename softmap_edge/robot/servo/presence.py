@@ -141,7 +141,7 @@ def shared(bus: _core.ServoBus, id: int) -> bool:
 
 
 def dirty(bus: _core.ServoBus, ask: Callable[[], object]) -> bool:
-    """Return whether bytes that are no packets arrive each time `ask` is called."""
+    """Return whether bytes that are not packets arrive each time `ask` is called."""
     return all(_skips(bus, ask) for _ in range(LOOKS))
 
 

@@ -123,7 +123,7 @@ class Rig:
         The user's own entries and comments stay.
 
         Raises:
-            ServoError: the file is no rig any more.
+            ServoError: the file is not a rig any more.
             OSError: it cannot be read or written.
         """
         from softmap_edge.robot.servo.rig_edit import edited  # only an edit needs tomlkit
@@ -137,7 +137,7 @@ def read_rig(path: str | Path) -> Rig:
     """Read a `rig.toml`.
 
     Raises:
-        ServoError: the file is missing, is no TOML, has another schema or a bad entry, or a key is
+        ServoError: the file is missing, is not TOML, has another schema or a bad entry, or a key is
             unknown: a mistyped stop or limit would have no effect.
     """
     file = Path(path)

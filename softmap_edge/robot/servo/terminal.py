@@ -56,7 +56,7 @@ def terminal() -> int | None:
     """Return the descriptor of standard input if it is a terminal to read from, else None."""
     try:
         file = sys.stdin.fileno()
-    # standard input is closed, or replaced by an object that is no file
+    # standard input is closed, or replaced by an object that is not a file
     except (AttributeError, OSError, ValueError):
         return None
     return file if os.isatty(file) and _foreground(file) else None

@@ -114,7 +114,7 @@ def check_model(path: str | Path) -> HandModel:
             recorded = stream.read(64).decode("ascii", "replace")
         if recorded != sha256:
             raise TeleopError(
-                f"{file}: SHA-256 {sha256[:16]}…, but {record.name} says {recorded[:16]!r}…; fetch "
+                f"{file}: SHA-256 {sha256[:16]}…, but {record.name} states {recorded[:16]!r}…; fetch "
                 "the model again"
             )
     return HandModel(file, sha256, KNOWN.get(sha256, ""))

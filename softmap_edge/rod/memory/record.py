@@ -86,8 +86,8 @@ def not_confirmed(progress: Progress, step: Step, why: str) -> str:
     before, after = evidence.rms(progress.losses), evidence.rms(step.fitted.losses)
     return (
         f"{' and '.join(step.names)} lowers the held-out error from {before:.2f} "
-        f"to {after:.2f} mm RMS, but {why}; this is no proof of a "
-        "memory, so the law is not in the model"
+        f"to {after:.2f} mm RMS, but {why}; this does not prove a memory, so the law is not in "
+        "the model"
     )
 
 
