@@ -446,22 +446,26 @@ def _spread_labels(axes: Axes) -> None:
     frame = axes.get_window_extent()
     middle, placed = 0.5 * (points[:, 0].min() + points[:, 0].max()), list[Bbox]()
     for k, label in enumerate(labels):
-        high = 1.1 * _extent(label).height / pixels  # a line of text, points
+        width, height = _extent(label).size
+        high = 1.1 * height / pixels  # a line of text, points
         most = int(frame.height / pixels / high)
         rows = sorted(range(-most, most + 1), key=abs)
         sides = (-1, 1) if points[k, 0] > middle else (1, -1)
         taken = [*placed, *dots[:k], *dots[k + 1 :]]
         candidates = [*product((True, False), rows, sides), (False, 0, sides[0])]
         for number, (within, row, side) in enumerate(candidates, 1):
-            label.set_horizontalalignment("left" if side > 0 else "right")
-            label.xyann = (side * BESIDE, row * high)
-            box = _extent(label)
+            near = points[k] + pixels * np.array([side * BESIDE, row * high])
+            box = Bbox.from_bounds(
+                near[0] - width * (side < 0), near[1] - height / 2, width, height
+            )
             inside = frame.y0 <= box.y0 and box.y1 <= frame.y1
             inside &= not within or (frame.x0 <= box.x0 and box.x1 <= frame.x1)
             free = inside and not any(box.overlaps(other) for other in taken)
             if free or number == len(candidates):
                 break
         placed.append(box)
+        label.set_horizontalalignment("left" if side > 0 else "right")
+        label.xyann = (side * BESIDE, row * high)
         if label.arrow_patch is not None:
             label.arrow_patch.set_visible(row != 0)
 

@@ -138,6 +138,7 @@ def test_peers_with_lags_find_a_delay_and_a_static_network_cannot():
     assert found["network"] > 2.0 * found["process"]
 
 
+@pytest.mark.long
 def test_the_network_is_drawn_with_a_fixed_seed(monkeypatch):
     pytest.importorskip("pysindy")
     from benches.outside import peers

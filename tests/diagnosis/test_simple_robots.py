@@ -447,6 +447,7 @@ def late(u, seconds, rate=RATE):
     return np.column_stack([np.interp(t - s, t, column) for s, column in zip(seconds, u.T)])
 
 
+@pytest.mark.long
 def test_a_delay_of_one_servo_is_a_matter_of_the_model_s_own_delay():
     """All servos were late alike when the model was learned; now one is later: the own delay is
     fitted for each.

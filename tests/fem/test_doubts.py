@@ -24,6 +24,7 @@ KPA = (
 KPA += "Then write 0.25"
 
 
+@pytest.mark.long
 def test_the_case_is_doubted_and_its_lost_command_is_computed(tmp_path, capsys):
     assert (
         main(["build", str(CASES / "kpa.toml"), "--out", str(tmp_path / "k"), "--steps", "5"]) == 0

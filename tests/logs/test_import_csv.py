@@ -227,6 +227,7 @@ def test_two_columns_of_one_name_are_not_guessed(tmp_path):
     )
 
 
+@pytest.mark.long
 def test_many_rows_take_little_memory(tmp_path):
     """100 000 rows of 17 columns in a process of its own; `python -m benches.import_rows` does a
     million.

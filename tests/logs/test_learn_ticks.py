@@ -119,6 +119,7 @@ def test_inverse_kinematics_answers_in_ticks(tmp_path, monkeypatch, capsys):
     assert main(["model", "predict", "100,-50", "--bundle", "b"]) == 0
 
 
+@pytest.mark.long
 def test_an_emulated_robot_is_driven_in_ticks(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     save_bundle(learn_model(arm(), static=True), "b")

@@ -134,7 +134,7 @@ def standing(path):
         (["diagnose", "run.npz"], "--html", "folder", "a folder"),
         (["diagnose", "run.npz"], "--out", "none/d.json", "make it first"),
         (["build"], "--out", "folder", "not a bundle"),
-        (["demo"], "--out", "folder/of", "file exists"),
+        (["demo"], "--out", "folder/of", "a part of this path is a file"),
         (["learn", "run.npz"], "--out", "folder", "not a bundle"),
         (["model", "refit", "run.npz", "--bundle", "b"], "--out", "folder", "not a bundle"),
     ],

@@ -367,7 +367,7 @@ def test_keys_of_a_terminal(terminal, monkeypatch):
     os.close(file)
 
 
-@pytest.mark.parametrize("command", [" -15,0", "15,15"])
+@pytest.mark.parametrize("command", [" -15,0", pytest.param("15,15", marks=pytest.mark.long)])
 def test_the_documented_rig_goes_through_its_window_at_full_speed(tmp_path, command):
     """Its servos are 0.24 s late, as the trunk's were; a limit of `following` below that faults on
     a healthy finger.

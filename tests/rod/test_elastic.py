@@ -168,6 +168,7 @@ def test_stated_uncertainty_holds_the_truth():
     assert found.error_mm == pytest.approx(0.5 * np.sqrt(3), rel=0.1)
 
 
+@pytest.mark.long
 def test_delay_and_lag_of_the_drive_are_found_where_the_log_is_fast_enough(run):
     def late(t, channels):
         fine = np.arange(-5.0, t[-1] + 0.1, 1e-3)

@@ -109,7 +109,7 @@ def test_play_behind_such_a_map_is_named():
     ("law", "seed", "seconds", "name"),
     [
         (lambda u: play(u, (4.5, 5.85)), 1, 45.0, "backlash"),
-        (lambda u: play(u, (4.5, 5.85)), 1, 60.0, "backlash"),
+        pytest.param(lambda u: play(u, (4.5, 5.85)), 1, 60.0, "backlash", marks=pytest.mark.long),
         (lambda u: one_pole(u, 0.45), 2, 30.0, "lag"),
     ],
 )
@@ -136,7 +136,7 @@ def test_two_laws_are_found_together_where_one_stands_in_for_both(seed):
     assert late.value == pytest.approx(0.12, rel=0.2)
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
 def test_a_play_that_grows_with_the_command_is_no_identified_backlash(seed):
     found = learn(with_slack_tendons(lambda u: growing_play(u, 0.2, 2.0), seed, 80.0, slack=3.5))
     assert {one.family for one in found.learned_in} == {"memory"}

@@ -82,7 +82,8 @@ def test_hidden_effect_is_named_first_and_its_error_falls(name):
 
 
 @pytest.mark.parametrize("seed", [4, pytest.param(8, marks=pytest.mark.prove)])
-@pytest.mark.parametrize("every", [3, pytest.param(1, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("every", [3, 1])
 def test_nothing_hidden_nothing_claimed(seed, every):
     story = case((), seed, thinned(standard_protocol(), every))
     assert claimed(story) == [], reported(story)

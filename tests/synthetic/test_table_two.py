@@ -104,6 +104,7 @@ def test_effects_that_the_stand_in_has_are_compensated(model):
     assert rows[COMPENSATED].simulator.mean() > 2 * rows[OURS].simulator.mean()
 
 
+@pytest.mark.long
 def test_the_command_prints_the_table_and_the_document_says_the_same(
     model, tmp_path, monkeypatch, capsys
 ):

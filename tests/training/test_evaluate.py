@@ -385,6 +385,7 @@ def test_the_papers_three_rows_both_falls_and_a_page(files, capsys, monkeypatch)
         assert text in page, text
 
 
+@pytest.mark.long
 def test_commands_beyond_those_that_taught_a_prior_or_a_residual_are_reported(
     files, capsys, monkeypatch
 ):

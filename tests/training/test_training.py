@@ -162,6 +162,7 @@ train_prior(here.GRID, here.POINTS, here.PARTS, "modes", None, here.QUICK.with_(
 """
 
 
+@pytest.mark.long
 def test_a_killed_training_goes_on_and_ends_as_if_it_had_not_been_killed(tmp_path):
     recipe = QUICK.with_(epochs=10)
     whole = train_prior(GRID, POINTS, PARTS, "modes", None, recipe, tmp_path / "whole")
