@@ -104,7 +104,7 @@ def test_a_temperature_in_fahrenheit_is_asked_about(tmp_path, name):
     found = guess_mapping([log])
     assert sum("the unit of the temperature: the log states" in line for line in found.unknown) == 1
     doubts = import_logs([log], parse_mapping(found.text, log)).doubts
-    assert any("the file says" in doubt and "scale" in doubt for doubt in doubts)
+    assert any("the file states" in doubt and "scale" in doubt for doubt in doubts)
 
 
 def test_names_without_a_unit_state_none():

@@ -73,7 +73,7 @@ def test_what_is_there_is_kept_unless_forced(tmp_path):
 def test_a_file_that_was_exchanged_is_reported(tmp_path):
     task = fetch_model(wheel(tmp_path / "a.whl"), tmp_path / "hand.task").path
     archive(task, [(DETECTOR, NETWORKS[DETECTOR]), (LANDMARKS, NETWORKS[LANDMARKS] + b"x")])
-    with pytest.raises(TeleopError, match=r"but hand.task.sha256 says .*; fetch the model again"):
+    with pytest.raises(TeleopError, match=r"but hand.task.sha256 states .*; fetch the model again"):
         check_model(task)
     task.with_name("hand.task.sha256").unlink()
     assert check_model(task).known_as == ""
