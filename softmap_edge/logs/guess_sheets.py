@@ -149,7 +149,7 @@ def _turned(part: Part, columns: Columns, sheet: Sheet) -> Sheet:
         units=turned.units,
         numbers=turned.numbers,
         texts={name: texts for name, texts in sheet.texts.items() if name in long.shared},
-        stated=wide.odd_units or {},
+        stated=wide.declared.odd_units or {},
         pivot=pivot,
         why=long.why,
     )
@@ -253,13 +253,9 @@ def _sheet(part: Part, columns: Columns, which: list[int]) -> Sheet:
         clocks=clocks,
         below=below,
         head_line=columns.head_line,
-        rate_hz=columns.stated_rate[1]
-        if isinstance(columns, TextColumns) and columns.stated_rate is not None
-        else None,
-        stated=dict(columns.odd_units) if isinstance(columns, TextColumns) else {},
-        booleans=frozenset(columns.names[k] for k in which if k in columns.booleans)
-        if isinstance(columns, ArrayColumns)
-        else frozenset(),
+        rate_hz=None if columns.declared.rate is None else columns.declared.rate[1],
+        stated=columns.declared.odd_units or {},
+        booleans=frozenset(columns.names[k] for k in which if k in columns.declared.booleans),
     )
 
 

@@ -29,7 +29,7 @@ from softmap_edge.logs.readers.matlab_file import open_hdf5, open_matlab
 from softmap_edge.logs.readers.mocap import open_motive, open_trc
 from softmap_edge.logs.readers.npz_log import open_npz
 from softmap_edge.logs.readers.parquet_log import open_parquet
-from softmap_edge.logs.readers.pivoted import PivotedColumns, pivoted
+from softmap_edge.logs.readers.pivoted import pivoted
 from softmap_edge.logs.readers.rosbag_sqlite import open_db3
 from softmap_edge.logs.readers.summaries import summaries
 from softmap_edge.logs.readers.text import TextColumns, open_text
@@ -199,7 +199,7 @@ def read_log(path: Path, log: Log, columns: Columns | None = None) -> LogTable:
     found = _other_rate(columns, times.t, log.clock)
     doubts = (*lacks, *cells.doubts, *times.doubts, *found, *_assumed(log.clock, len(times.t)))
     notes = (*cells.notes, *aside, *times.notes)
-    odd = columns.odd_units if isinstance(columns, TextColumns | PivotedColumns) else None
+    odd = columns.declared.odd_units
     table = LogTable(
         path, times.t, names, columns.units, values, times.cells.labels, notes, doubts, odd
     )
@@ -236,12 +236,10 @@ def _other_count(columns: Columns, rows: int) -> list[str]:
 def _other_rate(columns: Columns, t: Array, clock: Clock) -> list[str]:
     """Return the doubt that rows at times t (T,) s have another rate than the head states."""
     step = np.diff(t)
-    if not isinstance(columns, TextColumns | PivotedColumns) or columns.stated_rate is None:
-        return []
-    if clock.timeless or len(step) < _FEWEST_STEPS:
+    if columns.declared.rate is None or clock.timeless or len(step) < _FEWEST_STEPS:
         return []
     regular = np.abs(step / np.median(step) - 1.0) < _REGULAR  # no gap; rounded stamps differ
-    key, stated = columns.stated_rate
+    key, stated = columns.declared.rate
     rate = 1.0 / float(step[regular].mean())
     if regular.mean() < _USUALLY or abs(rate / stated - 1.0) <= _SAME_RATE:
         return []

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
 from softmap_edge.files.printable import listed
-from softmap_edge.logs.readers.columns import Array, Cells, as_floats, quiet
+from softmap_edge.logs.readers.columns import Array, Cells, Declared, as_floats, quiet
 
 if TYPE_CHECKING:
     from softmap_edge.logs.time_text import TimeText
@@ -40,7 +40,7 @@ class ArrayColumns:
     units: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     where: str = "row"
-    booleans: frozenset[int] = frozenset()  # columns that the file holds as booleans
+    declared: Declared = field(default_factory=Declared)
 
     @property
     def clocks(self) -> dict[int, TimeText]:
@@ -147,7 +147,13 @@ def columns_of_arrays(
         )
     remarks += [f"left out: {_listed(absent)}"] if absent else []
     return ArrayColumns(
-        path, names, columns, held, stated, tuple(remarks), booleans=frozenset(booleans)
+        path,
+        names,
+        columns,
+        held,
+        stated,
+        tuple(remarks),
+        declared=Declared(booleans=frozenset(booleans)),
     )
 
 

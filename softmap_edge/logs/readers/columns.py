@@ -39,6 +39,21 @@ class Cells:
     doubts: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True)
+class Declared:
+    """What a file states about its columns besides their names and known units.
+
+    Attributes:
+        odd_units: cells of a line of units that are not known; None if the file is not a text.
+        rate: name and value (Hz) of the rate of the rows.
+        booleans: positions of the columns that the file holds as booleans.
+    """
+
+    odd_units: dict[str, str] | None = None
+    rate: tuple[str, float] | None = None
+    booleans: frozenset[int] = frozenset()
+
+
 class Columns(Protocol):
     """An open log: its columns are known, its cells not yet read."""
 
@@ -49,6 +64,10 @@ class Columns(Protocol):
     @property
     def units(self) -> dict[str, str]:
         """The units of columns, where the file states them: `mm`, `m`, …"""
+
+    @property
+    def declared(self) -> Declared:
+        """What else the file states about its columns."""
 
     @property
     def where(self) -> str:
@@ -109,6 +128,7 @@ class HeldColumns:
     texts: dict[int, list[str]] = field(default_factory=dict)
     where: str = "frame"
     notes: tuple[str, ...] = ()
+    declared: Declared = field(default_factory=Declared)
 
     @property
     def clocks(self) -> dict[int, TimeText]:

@@ -68,7 +68,10 @@ def open_trc(path: Path) -> TextColumns:
     columns = _rows(
         path, names, "\t", cells, 5, stated.get("Units", ""), stated.get("NumFrames", "")
     )
-    return replace(columns, stated_rate=rate_of(stated, ("DataRate", "CameraRate")))
+    return replace(
+        columns,
+        declared=replace(columns.declared, rate=rate_of(stated, ("DataRate", "CameraRate"))),
+    )
 
 
 def open_motive(path: Path) -> TextColumns:
@@ -104,7 +107,7 @@ def open_motive(path: Path) -> TextColumns:
     count = stated.get("Total Exported Frames", "")
     columns = _rows(path, names, ",", cells, at + 1, stated.get("Length Units", ""), count)
     rates = ("Export Frame Rate", "Capture Frame Rate")
-    return replace(columns, stated_rate=rate_of(stated, rates))
+    return replace(columns, declared=replace(columns.declared, rate=rate_of(stated, rates)))
 
 
 def _rows(

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from softmap_edge.errors import RunError
-from softmap_edge.logs.readers.columns import Cells
+from softmap_edge.logs.readers.columns import Cells, Declared
 from softmap_edge.logs.readers.text import TextColumns
 from softmap_edge.logs.time_text import TimeText
 
@@ -34,6 +34,7 @@ class PacedColumns:
     frame: int | None = None
     first_frame: float = 1.0
     start_s: float = 0.0
+    declared: Declared = field(default_factory=Declared)
 
     @property
     def path(self) -> Path:

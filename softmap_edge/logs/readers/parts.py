@@ -8,14 +8,14 @@ if the mapping mends roll-overs. Pinned by tests/logs/test_csv_parts.py.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from softmap_edge.errors import RunError, differing_times
 from softmap_edge.logs.numbered import numbers_in, without_numbers
-from softmap_edge.logs.readers.columns import Array, Cells, Columns
+from softmap_edge.logs.readers.columns import Array, Cells, Columns, Declared
 from softmap_edge.logs.readers.text import TextColumns
 from softmap_edge.logs.table import place, raw_times
 from softmap_edge.logs.time_keys import Clock
@@ -44,6 +44,7 @@ class JoinedColumns:
     parts: tuple[tuple[str, Columns], ...]
     clock: Clock
     notes: tuple[str, ...] = ()
+    declared: Declared = field(default_factory=Declared)
 
     @property
     def names(self) -> list[str]:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from softmap_edge.errors import RunError
 from softmap_edge.files.printable import listed
 from softmap_edge.logs.readers.cells import is_number
-from softmap_edge.logs.readers.columns import Array, Cells, Columns
+from softmap_edge.logs.readers.columns import Array, Cells, Columns, Declared
 from softmap_edge.logs.readers.paced import PacedColumns
 from softmap_edge.logs.readers.text import TextColumns
 from softmap_edge.logs.time_text import TimeText
@@ -67,16 +67,12 @@ class PivotedColumns:
         return self._for_markers(self.inner.units)
 
     @property
-    def odd_units(self) -> dict[str, str] | None:
-        """The cells of a line of units that are not known; None if the log is not a text."""
-        odd: dict[str, str] | None = getattr(self.inner, "odd_units", None)
-        return None if odd is None else self._for_markers(odd)
-
-    @property
-    def stated_rate(self) -> tuple[str, float] | None:
-        """The rate that the head states; None where each frame shows one marker."""
-        rate: tuple[str, float] | None = getattr(self.inner, "stated_rate", None)
-        return rate if len(self.layout.frame) > len(self.layout.lines) else None
+    def declared(self) -> Declared:
+        """What else the file states; its rate only where frames show several markers."""
+        inner = self.inner.declared
+        odd = None if inner.odd_units is None else self._for_markers(inner.odd_units)
+        several = len(self.layout.frame) > len(self.layout.lines)
+        return Declared(odd, inner.rate if several else None)
 
     def _for_markers(self, units: dict[str, str]) -> dict[str, str]:
         own = [self.inner.names[place] for place in self.of_markers] * len(self.layout.markers)

@@ -24,7 +24,7 @@ from softmap_edge.files.printable import listed
 from softmap_edge.logs.readers.between import Between
 from softmap_edge.logs.readers.cells import find_delimiter, is_number, is_plain, split
 from softmap_edge.logs.readers.clock_cells import clocks_of
-from softmap_edge.logs.readers.columns import Array, Cells, text_array
+from softmap_edge.logs.readers.columns import Array, Cells, Declared, text_array
 from softmap_edge.logs.readers.encoding import encoding_of, is_cut
 from softmap_edge.logs.readers.ending import RECENT, cut_within, lines_below
 from softmap_edge.logs.readers.header import Table, is_remark, widths_of
@@ -65,10 +65,8 @@ class TextColumns:
     decimal: str
     skip_last: int = 0
     units: dict[str, str] = field(default_factory=dict)
-    odd_units: dict[str, str] = field(default_factory=dict)  # cells of a line of units, not known
     stated_rows: int | None = None  # number of rows that the head states
-    # the rate (Hz) of the rows that the head states, and its name there
-    stated_rate: tuple[str, float] | None = None
+    declared: Declared = field(default_factory=lambda: Declared(odd_units={}))
     notes: tuple[str, ...] = ()
     where: str = "line"
     header: bool = True
@@ -540,7 +538,7 @@ def open_text(
     columns = replace(
         columns,
         units=table.units if named else {},
-        odd_units=table.stated if named else {},
+        declared=Declared(odd_units=table.stated if named else {}),
         fewest=min(table.fewest, len(names)),
     )
     if named and table.header is not None:
@@ -550,7 +548,8 @@ def open_text(
     ]
     columns = replace(columns, head=tuple(above[-_HEADS:]) if named else ())
     rate = stated_rate(columns.head)
-    columns = replace(columns, stated_rate=None if rate is None else ("a rate of", rate))
+    named_rate = None if rate is None else ("a rate of", rate)
+    columns = replace(columns, declared=replace(columns.declared, rate=named_rate))
     return _marked(columns, start[first : first + _FIRST], decimal).with_clocks(order)
 
 

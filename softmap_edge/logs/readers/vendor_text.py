@@ -82,7 +82,9 @@ def open_qtm(path: Path) -> TextColumns | PacedColumns:
     columns = TextColumns(path, names, at + 1, "\t", ".", units=dict.fromkeys(places, "mm"))
     if "time" in lead:
         first = {key: row[0] for key, row in stated.items() if row}
-        return replace(columns, stated_rate=rate_of(first, ("FREQUENCY",)))
+        return replace(
+            columns, declared=replace(columns.declared, rate=rate_of(first, ("FREQUENCY",)))
+        )
     return paced(
         columns, (stated.get("FREQUENCY") or [""])[0], "frame" if "frame" in lead else None
     )
