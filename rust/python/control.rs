@@ -100,11 +100,11 @@ fn limits(from: &Bound<'_, PyDict>) -> PyResult<Limits> {
 /// about home.
 #[pyfunction]
 pub fn limit_ranges(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
-    let told = PyDict::new(py);
+    let ranges = PyDict::new(py);
     for (name, low, high, unit) in RANGES {
-        told.set_item(name, (low, high, unit))?;
+        ranges.set_item(name, (low, high, unit))?;
     }
-    Ok(told)
+    Ok(ranges)
 }
 
 /// Refuse limits that make no sense.

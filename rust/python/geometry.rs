@@ -246,7 +246,7 @@ impl PyRegistration {
         })?;
         found
             .into_iter()
-            .map(|(start, found)| told(py, start, found))
+            .map(|(start, found)| result(py, start, found))
             .collect()
     }
 
@@ -267,7 +267,7 @@ impl PyRegistration {
     }
 }
 
-fn told<'py>(py: Python<'py>, start: Start, found: Registered) -> PyResult<Bound<'py, PyDict>> {
+fn result<'py>(py: Python<'py>, start: Start, found: Registered) -> PyResult<Bound<'py, PyDict>> {
     let out = PyDict::new(py);
     out.set_item("vertices", rows(py, found.places)?)?;
     out.set_item("support", found.support.into_pyarray(py))?;

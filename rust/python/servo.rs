@@ -55,36 +55,36 @@ pub fn servo_packets<'py>(py: Python<'py>, stream: &[u8]) -> Vec<(u8, u8, Bound<
 #[pyfunction]
 pub fn servo_models<'py>(py: Python<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
     let one = |model: &softmap_servo::registers::Model| {
-        let told = PyDict::new(py);
-        told.set_item("name", model.name)?;
-        told.set_item("number", model.number)?;
-        told.set_item("baud_rates", model.baud_rates())?;
-        told.set_item(
+        let row = PyDict::new(py);
+        row.set_item("name", model.name)?;
+        row.set_item("number", model.number)?;
+        row.set_item("baud_rates", model.baud_rates())?;
+        row.set_item(
             "current_unit_mA",
             model.has_current().then_some(model.current_unit),
         )?;
-        told.set_item(
+        row.set_item(
             "current_limit_mA",
             model
                 .has_current()
                 .then_some(model.current_unit * f64::from(model.current_limit)),
         )?;
-        told.set_item("temperature_limit_C", model.temperature_limit)?;
-        told.set_item("voltage_V", model.voltage)?;
-        told.set_item("fastest_ticks_per_s", model.fastest_turn())?;
-        told.set_item("stall_torque_Nm", model.stall.0)?;
-        told.set_item("stall_current_mA", model.stall.1)?;
-        told.set_item(
+        row.set_item("temperature_limit_C", model.temperature_limit)?;
+        row.set_item("voltage_V", model.voltage)?;
+        row.set_item("fastest_ticks_per_s", model.fastest_turn())?;
+        row.set_item("stall_torque_Nm", model.stall.0)?;
+        row.set_item("stall_current_mA", model.stall.1)?;
+        row.set_item(
             "capped_by",
             model.cap(0.0).0.name.replace(' ', "_").to_lowercase(),
         )?;
-        told.set_item("operating_mode", model.driven_in())?;
-        told.set_item("current_limit", model.current_limit)?;
-        told.set_item("velocity_limit", model.velocity_limit)?;
-        told.set_item("pwm_limit", FULL_PWM)?;
-        told.set_item("shutdown", model.shutdown)?;
-        told.set_item("position_gains", model.gains)?;
-        Ok(told)
+        row.set_item("operating_mode", model.driven_in())?;
+        row.set_item("current_limit", model.current_limit)?;
+        row.set_item("velocity_limit", model.velocity_limit)?;
+        row.set_item("pwm_limit", FULL_PWM)?;
+        row.set_item("shutdown", model.shutdown)?;
+        row.set_item("position_gains", model.gains)?;
+        Ok(row)
     };
     MODELS.iter().map(one).collect()
 }

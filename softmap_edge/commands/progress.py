@@ -35,6 +35,11 @@ class Ticker:
             self.say(f"  … solving, {share:.0%} of this part")
 
 
+def _draw(text: str) -> None:
+    """Write over the last line of the terminal."""
+    print(f"\r{text}", end="", file=raw(sys.stderr), flush=True)
+
+
 class Elapsed:
     """Show on one terminal line what is running and for how long; call it with lines that stay.
 
@@ -72,12 +77,12 @@ class Elapsed:
         while not self._over.wait(self._pace):
             with self._lock:
                 text = f"{self._what} … {self._clock() - self._began:.0f} s"
-                print(f"\r{text:<{self._wide}}", end="", file=raw(sys.stderr), flush=True)
+                _draw(f"{text:<{self._wide}}")
                 self._wide = len(text)
 
     def _clear(self) -> None:
         if self._wide:
-            print(f"\r{' ' * self._wide}\r", end="", file=raw(sys.stderr), flush=True)
+            _draw(" " * self._wide + "\r")
         self._wide = 0
 
     def __exit__(
@@ -115,12 +120,7 @@ class Bar:
             return
         full = round(_WIDTH * min(max(share, 0.0), 1.0))
         bar, left = f"[{'█' * full}{'·' * (_WIDTH - full)}]", self._left(what, share)
-        print(
-            f"\r{printable(what):<16} {bar} {share:4.0%}{left:<{_LEFT}}",
-            end="",
-            file=raw(sys.stderr),
-            flush=True,
-        )
+        _draw(f"{printable(what):<16} {bar} {share:4.0%}{left:<{_LEFT}}")
         self._drawn = True
 
     def _left(self, what: str, share: float) -> str:
@@ -143,6 +143,4 @@ class Bar:
         trace: TracebackType | None,
     ) -> None:
         if self._drawn:
-            print(
-                "\r" + " " * (_WIDTH + 26 + _LEFT) + "\r", end="", file=raw(sys.stderr), flush=True
-            )
+            _draw(" " * (_WIDTH + 26 + _LEFT) + "\r")

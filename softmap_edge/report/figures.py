@@ -66,7 +66,7 @@ STYLE: Any = {  # matplotlib types the keys one by one
 }
 WIDE = 10.4  # inches: the width of a picture that fills the page
 LABEL = 1.5  # inches left of a bar, for its label
-DOT, BESIDE = 16.0, 13.0  # points: diameter of a marker; from its middle to its label
+DOT, LABEL_AT = 16.0, 13.0  # points: diameter of a marker; from its middle to its label
 POINTS = 1200  # lines with more points show the RMS of equal stretches
 SIDES = (
     ("seen along −x", (1, 0)),
@@ -412,7 +412,7 @@ def _marker_figure(places: Floats, shown: Sequence[tuple[str, Floats]], scale: N
             axes.annotate(
                 f"marker {k + 1}: {mm(float(value))} mm",
                 (x[k], y[k]),
-                (BESIDE, 0),
+                (LABEL_AT, 0),
                 textcoords="offset points",
                 va="center",
                 size=8,
@@ -454,7 +454,7 @@ def _spread_labels(axes: Axes) -> None:
         taken = [*placed, *dots[:k], *dots[k + 1 :]]
         candidates = [*product((True, False), rows, sides), (False, 0, sides[0])]
         for number, (within, row, side) in enumerate(candidates, 1):
-            near = points[k] + pixels * np.array([side * BESIDE, row * high])
+            near = points[k] + pixels * np.array([side * LABEL_AT, row * high])
             box = Bbox.from_bounds(
                 near[0] - width * (side < 0), near[1] - height / 2, width, height
             )
@@ -465,7 +465,7 @@ def _spread_labels(axes: Axes) -> None:
                 break
         placed.append(box)
         label.set_horizontalalignment("left" if side > 0 else "right")
-        label.xyann = (side * BESIDE, row * high)
+        label.xyann = (side * LABEL_AT, row * high)
         if label.arrow_patch is not None:
             label.arrow_patch.set_visible(row != 0)
 
