@@ -76,12 +76,20 @@ def test_turned_tendons_beyond_ordinary_imperfections_are_physics():
     that is static.
     """
     turn = -8.0
-    (grid, _), (moves, _), (paths, _) = measured(
+    (grid, _), (moves, _), (paths, truth) = measured(
         replace(virtual_finger(1, cameras=CAMERAS), phase_deg=turn)
     )
     found = adapt(MODEL, [grid, moves], held_out=paths)
     stood, residual, physics, both = (found.error[way] for way in WAYS)
     assert both < physics < residual < stood
+    models = (
+        found.model,
+        found.model.with_residual(None),
+        learn_residual(found.before, found.runs)[0],
+    )
+    missed = [m.predict(paths) - truth["vertices"] for m in models]
+    after, named_only, alone = (float(np.linalg.norm(m, axis=2).mean()) for m in missed)
+    assert after < named_only < 0.5 * alone, (after, named_only, alone)
     assert residual > 2.0 * both and physics < 0.4 * stood and both < 0.2 * stood
     named = set(found.model.chain_names)
     assert named & {"hysteresis", "friction", "backlash"} and "routing" in named
