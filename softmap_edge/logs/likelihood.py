@@ -49,17 +49,18 @@ def likelihood_of(place: Sequence[str], names: Sequence[str]) -> str | None:
 
 
 def is_likelihood(values: Array, letter: bool) -> bool:
-    """Return whether numbers (rows,) may be likelihoods: from 0 to about 1, and not all equal.
+    """Return whether numbers (rows,) may be likelihoods: from 0 to about 1, and not all 0.
 
     Args:
         values: of the column.
-        letter: whether one letter names it, as in `Tip_c`: then most must be near 1, for `tip_p`
-            may be a pressure as well.
+        letter: whether one letter names it, as in `Tip_c`: then they must vary, and most must be
+            near 1, for `tip_p` may be a pressure as well.
     """
     known = values[np.isfinite(values)]
     if not len(known) or known.min() < 0.0 or known.max() > (1.0 if letter else _MOST):
         return False
-    return bool(np.ptp(known) > 0.0 and (not letter or np.median(known) > _SURE))
+    varies = np.ptp(known) > 0.0 and np.median(known) > _SURE
+    return bool(known.max() > 0.0 and (varies or not letter))
 
 
 def unlikely(table: LogTable, quantity: Quantity) -> Mask:

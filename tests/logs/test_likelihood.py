@@ -108,6 +108,26 @@ def test_the_mm_of_a_pixel_and_the_limit_are_the_users(tmp_path, make):
         read(path, "least_likelihood = 0.6", "least_likelihood = 1.2")
 
 
+@pytest.mark.parametrize("always", ["1.0", "0.99", "0.3"])
+@pytest.mark.parametrize("make", [deeplabcut, sleap, numbered])
+def test_a_marker_of_one_likelihood_does_not_hide_the_others(tmp_path, make, always):
+    """A word names the likelihoods, so the first marker may have the same in every frame."""
+    path = make(tmp_path)
+    column = 2 + path.read_text().splitlines()[-1].split(",").index(cells(FRAMES - 1)[0])
+    lines = [line.split(",") for line in path.read_text().splitlines()]
+    for cell in lines:
+        if cell[column].startswith("0."):
+            cell[column] = always
+    path.write_text("\n".join(map(",".join, lines)) + "\n")
+    guess = guess_mapping([path])
+    assert any("are likelihoods, not coordinates" in line for line in guess.assumed)
+    assert 'unit = "px"' in guess.text
+    done = read(path)
+    seen = np.isfinite(done.run.markers).all(axis=2)
+    assert np.flatnonzero(~seen[:, 2]).tolist() == LOST
+    assert seen[:, 0].all() == (float(always) > 0.6)
+
+
 @pytest.mark.parametrize("name", ["tip_{} [px]", "tip_{}_px", "tip_{} (pixels)"])
 def test_places_in_pixels_without_a_likelihood(tmp_path, name):
     head = ",".join(["time", "cmd_1", name.format("x"), name.format("y")])

@@ -4,6 +4,8 @@ another exception.
 Each format is one line of FORMATS; `damage.py` says how files are spoiled and used.
 """
 
+import json
+
 import pytest
 from bench_rows import NAMES, rows, write
 from damage import Format, assert_10000, assert_some, run_all, spoil_one_of, spoil_text_file
@@ -111,6 +113,50 @@ def dated_sample(folder):
     lines = rows(18, ";", ",", time=lambda k: times[k])
     write(folder / "log.csv", "sep=;", "Versuch;3", ";".join(["Zeit", *NAMES[1:]]), lines)
     return folder
+
+
+def json_sample(folder):
+    """JSON Lines with commands, a nested place and a missing key."""
+    lines = [
+        {
+            "t": k / 20,
+            "cmd": [k % 3, -(k % 5)],
+            "tip": {"x": 0.3 * k, "y": 7.5, "z": 90.0 - 0.1 * k},
+        }
+        for k in range(20)
+    ]
+    del lines[7]["tip"]
+    path = folder / "log.jsonl"
+    path.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    return path
+
+
+def long_sample(folder):
+    """One row for each of three markers of each frame."""
+    return write(
+        folder / "log.csv",
+        "time_s,u1,marker,x,y,z",
+        [
+            f"{k / 20},{k % 7},{name},{0.1 * k * m:.2f},{5.0 * m},{30.0 * m}"
+            for k in range(15)
+            for m, name in enumerate(("base", "middle", "tip"))
+        ],
+    )
+
+
+def likelihood_sample(folder):
+    """Places in pixels with their likelihood, below three lines of names, as DeepLabCut writes."""
+    parts = ("base", "tip")
+    return write(
+        folder / "log.csv",
+        "scorer" + ",net" * 6,
+        "bodyparts," + ",".join(f"{part},{part},{part}" for part in parts),
+        "coords" + ",x,y,likelihood" * 2,
+        [
+            f"{k},{310 + k},{220.5},0.99,{300 + 3 * k},{80.25},{0.2 if k == 4 else 0.97}"
+            for k in range(20)
+        ],
+    )
 
 
 def c3d_sample(folder):
@@ -221,6 +267,9 @@ FORMATS = [
     Format("guess of rows of types", typed_sample, spoil_text_file, use_guess),
     Format("guess of dates", dated_sample, spoil_one_of("log.csv"), use_guess),
     Format("guess of mcap", bare_mcap_sample, spoil_counts, use_guess),
+    Format("guess of JSON Lines", json_sample, spoil_text_file, use_guess),
+    Format("guess of a long table", long_sample, spoil_text_file, use_guess),
+    Format("guess of likelihoods", likelihood_sample, spoil_text_file, use_guess),
     Format("message", message_sample, spoil_counts, use_message),
 ]
 
