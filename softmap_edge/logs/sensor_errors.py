@@ -79,7 +79,7 @@ def without_errors(
     if not len(others):
         raise RunError(
             f"{table.path}: {name}: {table.name(quantity.columns[0])} is {numbers} in all "
-            f"{int(wrong.sum())} rows, which a sensor writes that fails; leave the column out, or "
+            f"{int(wrong.sum())} rows, as a sensor writes when it fails; leave the column out, or "
             f'set {name}.not_seen = "keep" if it is the {name}'
         )
     doubts.append(
@@ -141,7 +141,7 @@ def never_read(name: str, unit: str | None, raw: Array) -> str | None:
     known = raw[np.isfinite(raw[:, 0]), 0]
     if not len(known) or not errors_of(known, name, unit or "").all():
         return None
-    return f"{_listed(known)} in all rows, which a sensor writes that fails"
+    return f"{_listed(known)} in all rows, as a sensor writes when it fails"
 
 
 def _equal(celsius: Array, numbers: tuple[float, ...]) -> Mask:
