@@ -266,8 +266,13 @@ def test_the_mapping_chooses_markers_and_their_order(tmp_path):
     assert run.extra["marker_labels"].tolist() == ["m2", "m0"]
 
 
-def test_a_shared_column_that_differs_within_a_frame_is_refused(tmp_path):
-    rows = [f"{T[k]:.3f},m{m},{xyz(k, m)},{U[k, 0] + m:.3f},{U[k, 1]:.3f}" for k, m in BY_FRAME]
+@pytest.mark.parametrize("empty", [None, 0, 1])
+def test_a_shared_column_that_differs_within_a_frame_is_refused(tmp_path, empty):
+    """Also if one marker has no number there."""
+    rows = [
+        f"{T[k]:.3f},m{m},{xyz(k, m)},{'' if m == empty else round(U[k, 0] + m, 3)},{U[k, 1]:.3f}"
+        for k, m in BY_FRAME
+    ]
     path = written(tmp_path, "t,marker,x,y,z,u1,u2", rows)
     with pytest.raises(RunError, match="'u1' differs within 40 of 40 frames, .*'m0.u1'"):
         imported(path, MAP)

@@ -152,8 +152,9 @@ class PivotedColumns:
         high = np.fmax.reduceat(column[order], starts)
         if not (other := low < high).any():
             return low
-        own = np.flatnonzero(self.layout.frame == int(np.argmax(other)))
-        k = next(k for k in own if column[k] != column[own[0]] and np.isfinite(column[k]))
+        frame = int(np.argmax(other))
+        own = np.flatnonzero((self.layout.frame == frame) & np.isfinite(column))
+        k = next(k for k in own if column[k] != column[own[0]])
         name, marker = self.inner.names[place][:60], self.layout.markers[0][:40]
         raise RunError(
             f"{self.path}: '{name}' differs within {int(other.sum())} of {len(low)} frames, such "
