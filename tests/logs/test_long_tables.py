@@ -276,8 +276,15 @@ def test_a_shared_column_that_differs_within_a_frame_is_refused(tmp_path, empty)
     path = written(tmp_path, "t,marker,x,y,z,u1,u2", rows)
     with pytest.raises(RunError, match="'u1' differs within 40 of 40 frames, .*'m0.u1'"):
         imported(path, MAP)
-    mapping = MAP.replace('"u1"', '"m1.u1"')
-    assert imported(path, mapping).run.command[:, 0] == pytest.approx(U[:, 0] + 1, abs=1e-3)
+    mapping = MAP.replace('"u1"', '"m2.u1"')
+    assert imported(path, mapping).run.command[:, 0] == pytest.approx(U[:, 0] + 2, abs=1e-3)
+
+
+def test_a_single_infinite_number_differs_from_the_others_of_its_frame(tmp_path):
+    rows = [f"{T[k]:.3f},m{m},{xyz(k, m)},{pulled(k)}" for k, m in BY_FRAME]
+    rows[40] = ",".join([*rows[40].split(",")[:-2], "inf", "0.0"])
+    with pytest.raises(RunError, match="'u1' differs within 1 of 40 frames"):
+        imported(written(tmp_path, "t,marker,x,y,z,u1,u2", rows), MAP)
 
 
 @pytest.mark.parametrize(

@@ -153,7 +153,7 @@ class PivotedColumns:
         if not (other := low < high).any():
             return low
         frame = int(np.argmax(other))
-        own = np.flatnonzero((self.layout.frame == frame) & np.isfinite(column))
+        own = np.flatnonzero((self.layout.frame == frame) & ~np.isnan(column))
         k = next(k for k in own if column[k] != column[own[0]])
         name, marker = self.inner.names[place][:60], self.layout.markers[0][:40]
         raise RunError(
